@@ -1,0 +1,110 @@
+"""The ids ``esc_gym/<highway-env id>``: highway-env with the set observation."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from copy import deepcopy
+from difflib import get_close_matches
+from typing import Any
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers highway-env's own ids)
+from gymnasium.envs.registration import load_env_creator
+from highway_env import utils
+from highway_env.envs.common.abstract import AbstractEnv
+
+from esc_gym.behavior import original_behavior
+from esc_gym.observation import SetObservation
+
+NAMESPACE = "esc_gym"
+HIGHWAY_ENV_IDS = tuple(
+    spec.id for spec in gym.registry.values()
+    if isinstance(spec.entry_point, str) and spec.entry_point.startswith("highway_env.envs.")
+)  # fmt: skip
+MULTI_AGENT_IDS = tuple(id for id in HIGHWAY_ENV_IDS if "multi-agent" in id)
+ENV_IDS = tuple(f"{NAMESPACE}/{id}" for id in HIGHWAY_ENV_IDS if id not in MULTI_AGENT_IDS)
+
+
+def register_envs() -> None:
+    """Register ``esc_gym/<id>`` for all highway-env ids; the multi-agent ones refuse."""
+    for base_id in HIGHWAY_ENV_IDS:
+        if f"{NAMESPACE}/{base_id}" not in gym.registry:
+            gym.register(
+                f"{NAMESPACE}/{base_id}",
+                entry_point="esc_gym.registration:make",
+                max_episode_steps=gym.registry[base_id].max_episode_steps,
+                kwargs={"base_id": base_id},
+            )
+
+
+def make(
+    base_id: str,
+    config: Mapping[str, Any] | None = None,
+    render_mode: str | None = None,
+    **set_observation: Any,
+) -> SetObservation:
+    """Entry point of the ids: a highway-env environment with ``SetObservation`` on it.
+
+    Args:
+        base_id: the highway-env id.
+        config: merged into that id's default configuration, nested dicts too; an ``action`` of
+            another ``type`` replaces the default one whole. Unknown keys are refused.
+        render_mode: ``"human"``, ``"rgb_array"`` or None.
+        set_observation: arguments of ``SetObservation``.
+    """
+    if base_id in MULTI_AGENT_IDS:
+        raise gym.error.UnregisteredEnv(
+            f"{NAMESPACE}/{base_id} is multi-agent; esc_gym supports the {len(ENV_IDS)} "
+            f"single-agent environments of highway-env, for example {NAMESPACE}/intersection-v0."
+        )
+    env_class = load_env_creator(gym.registry[base_id].entry_point)
+    merged = merge_config(env_class.default_config(), config or {})
+    with original_behavior(utils.class_from_path(merged["other_vehicles_type"])):
+        return SetObservation(_construct(env_class, merged, render_mode), **set_observation)
+
+
+def _construct(
+    env_class: type[AbstractEnv], config: dict[str, Any], render_mode: str | None
+) -> AbstractEnv:
+    """``env_class(config, render_mode)``, also for the classes that do not take both."""
+    wanted = {"config": config, "render_mode": render_mode}
+    accepted = inspect.signature(env_class).parameters
+    env = env_class(**{name: value for name, value in wanted.items() if name in accepted})
+    if not accepted.keys() >= wanted.keys():
+        env.render_mode = render_mode
+        env.configure(_changes(config, env_class.default_config()))
+        env.config["offscreen_rendering"] = render_mode != "human"
+    return env
+
+
+def _changes(config: dict[str, Any], default: dict[str, Any]) -> dict[str, Any]:
+    # parking-ActionRepeat-v0 and parking-parked-v0 set values in __init__, past default_config.
+    return {key: value for key, value in config.items() if value != default[key]}
+
+
+def merge_config(default: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """highway-env's ``default`` configuration with ``changes`` merged in, nested dicts too.
+
+    A nested dict whose ``type`` changes is replaced, not merged: the arguments of one action type
+    mean nothing to another. Raises ValueError for a key that highway-env does not know.
+    """
+    merged = deepcopy(default)
+    for key, value in changes.items():
+        if key == "observation":
+            raise ValueError(
+                "config['observation'] has no effect here: esc_gym observes the set. Pass "
+                "SetObservation's arguments instead (max_vehicles=, features=, order=, ...)."
+            )
+        # Reward terms are read by name, and not all of them stand in the defaults.
+        if key not in default and not key.endswith("_reward"):
+            near = get_close_matches(key, default, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(default)}."
+            raise ValueError(f"config: unknown key {key!r}; {hint}")
+        old = merged.get(key)
+        if isinstance(old, dict) and isinstance(value, Mapping):
+            keep = value.get("type", old.get("type")) == old.get("type")
+            merged[key] = {**old, **value} if keep else dict(value)
+        else:
+            merged[key] = deepcopy(value)
+    return merged

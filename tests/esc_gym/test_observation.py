@@ -1,0 +1,506 @@
+"""SetObservation against an independent reading of the simulator's road."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+import subprocess
+import sys
+import warnings
+
+import gymnasium as gym
+import highway_env  # noqa: F401
+import numpy as np
+import pytest
+from highway_env.envs.common.observation import observation_factory
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Landmark, Obstacle
+
+import esc_gym
+from esc_gym import SetObservation
+from esc_gym.features import DEFAULT_FEATURES, EGO_FEATURES, VEHICLE_FEATURES
+
+
+def expected_set(env, distance, frame):
+    """{(x, y, vx, vy, cos, sin, obstacle)} read off the road with the textbook formulas."""
+    ego = env.unwrapped.vehicle
+    angle = ego.heading if frame == "ego" else 0.0
+    rotation = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    rows = []
+    for other in [*env.unwrapped.road.vehicles, *env.unwrapped.road.objects]:
+        offset = other.position - ego.position
+        if other is ego or isinstance(other, Landmark) or np.hypot(*offset) >= distance:
+            continue
+        velocity = np.zeros(2) if isinstance(other, Obstacle) else other.velocity
+        heading = [math.cos(other.heading), math.sin(other.heading)]
+        rows.append(
+            [
+                *(rotation @ offset),
+                *(rotation @ (velocity - ego.velocity)),
+                *(rotation @ heading),
+                float(isinstance(other, Obstacle)),
+            ]
+        )
+    return np.array(rows).reshape(-1, 7)
+
+
+def assert_same_set(rows, expected, atol=1e-3):
+    assert len(rows) == len(expected)
+    used = set()
+    for row in rows:
+        distances = [
+            np.abs(row - e).max() if i not in used else np.inf for i, e in enumerate(expected)
+        ]
+        best = int(np.argmin(distances))
+        assert distances[best] < atol, (row, expected)
+        used.add(best)
+
+
+def place(env, x=20.0, y=0.0, speed=0.0, heading=0.0, cls=IDMVehicle):
+    """Add an object at a place relative to the ego."""
+    base = env.unwrapped
+    other = cls(base.road, base.vehicle.position + [x, y], heading=heading, speed=speed)
+    (base.road.objects if cls in (Obstacle, Landmark) else base.road.vehicles).append(other)
+    return other
+
+
+def alone(env):
+    env.unwrapped.road.vehicles[:] = [env.unwrapped.vehicle]
+    env.unwrapped.road.objects.clear()
+
+
+def observe(env):
+    return env.unwrapped.observation_type.observe()
+
+
+@pytest.fixture
+def env():
+    env = gym.make("esc_gym/highway-fast-v0")
+    env.reset(seed=0)
+    yield env
+    env.close()
+
+
+@pytest.mark.parametrize("frame", ["world", "ego"])
+@pytest.mark.parametrize("base_id", ["merge-v0", "intersection-v0", "roundabout-v0", "parking-v0"])
+def test_set_equals_the_road(base_id, frame):
+    env = gym.make(f"esc_gym/{base_id}", frame=frame)
+    seen = []
+    # Intersections clear and spawn vehicles after observing: compare at the instant of observing.
+    kind = env.unwrapped.observation_type
+    original = kind.observe
+    kind.observe = lambda: (seen.append(expected_set(env, 200.0, frame)), original())[1]
+    for seed in range(2):
+        observation, info = env.reset(seed=seed)
+        for _ in range(6):
+            rows = env.get_wrapper_attr("decode")(observation)["vehicles"]
+            assert_same_set(rows[: info["set"]["count"]], seen[-1])
+            observation, _, terminated, _, info = env.step(env.action_space.sample())
+            if terminated:
+                break
+
+
+def test_distance_behind_and_landmarks(env):
+    alone(env)
+    place(env, x=-150.0)
+    place(env, x=199.9)
+    place(env, x=200.1)
+    place(env, x=150.0, y=150.0)
+    place(env, x=30.0, cls=Obstacle)
+    place(env, x=10.0, cls=Landmark)
+    rows = env.get_wrapper_attr("decode")(observe(env))["vehicles"][:3]
+    assert rows[:, 0] == pytest.approx([-150.0, 199.9, 30.0], abs=1e-4)
+    assert rows[:, 6].tolist() == [0.0, 0.0, 1.0]
+    info = env.unwrapped.observation_type.info
+    assert (info["count"], info["overflow"], len(set(info["ids"]))) == (3, 0, 3)
+
+
+def test_stock_kinematics_agrees(env):
+    """Same numbers as highway-env's own observation where both see a vehicle."""
+    stock = observation_factory(
+        env.unwrapped,
+        {"type": "Kinematics", "vehicles_count": 30, "see_behind": True, "normalize": False,
+         "features": ["presence", "x", "y", "vx", "vy", "cos_h", "sin_h"]},
+    )  # fmt: skip
+    for action in (1, 0, 3):
+        observation, *_ = env.step(action)
+        expected = stock.observe()[1:]
+        expected = expected[expected[:, 0] == 1][:, 1:]
+        count = int(observation["mask"].sum())
+        assert count > 0
+        rows = env.get_wrapper_attr("decode")(observation)["vehicles"][:count, :6]
+        assert_same_set(rows, expected)
+
+
+def test_empty_one_full_and_duplicates(env):
+    alone(env)
+    observation = observe(env)
+    assert not observation["vehicles"].any()
+    assert not observation["mask"].any()
+    place(env, x=20.0)
+    place(env, x=20.0)
+    observation = observe(env)
+    assert observation["mask"].tolist() == [1, 1] + [0] * 18
+    assert (observation["vehicles"][0] == observation["vehicles"][1]).all()
+    for i in range(18):
+        place(env, x=5.0 * i)
+    assert observe(env)["mask"].all()
+
+
+def test_empty_virtual():
+    env = gym.make("esc_gym/highway-fast-v0", empty="virtual", perception_distance=100.0)
+    env.reset(seed=0)
+    alone(env)
+    observation = observe(env)
+    assert observation in env.observation_space
+    row = env.get_wrapper_attr("decode")(observation)["vehicles"][0]
+    assert row == pytest.approx([100, 0, 0, 0, 1, 0, 0], abs=1e-4)
+    assert observation["mask"].sum() == 1
+    assert env.unwrapped.observation_type.info["count"] == 0
+
+
+def test_overflow_keeps_the_nearest_and_says_so():
+    env = gym.make("esc_gym/highway-fast-v0", max_vehicles=2)
+    env.reset(seed=0)
+    alone(env)
+    for x in (50.0, -10.0, 90.0, 30.0):
+        place(env, x=x)
+    kind = env.unwrapped.observation_type
+    kind._warned = False
+    with pytest.warns(UserWarning, match=r"4 vehicles within 200 m, but max_vehicles=2"):
+        observation = observe(env)
+    rows = env.get_wrapper_attr("decode")(observation)["vehicles"]
+    assert rows[:, 0] == pytest.approx([-10.0, 30.0], abs=1e-4)  # the nearest, in road order
+    assert (kind.info["count"], kind.info["overflow"], len(kind.info["ids"])) == (4, 2, 2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        observe(env)  # said once
+
+
+def test_overflow_error():
+    env = gym.make(
+        "esc_gym/highway-fast-v0", max_vehicles=1, perception_distance=1.0, on_overflow="error"
+    )
+    env.reset(seed=0)
+    place(env, x=0.1)
+    place(env, x=0.2)
+    with pytest.raises(OverflowError, match="Raise max_vehicles to 2"):
+        observe(env)
+
+
+def test_order_distance_and_shuffled(env):
+    near_first = gym.make("esc_gym/highway-fast-v0", order="distance")
+    observation, _ = near_first.reset(seed=5)
+    rows = near_first.get_wrapper_attr("decode")(observation)["vehicles"]
+    rows = rows[observation["mask"] == 1]
+    distances = np.hypot(rows[:, 0], rows[:, 1])
+    assert (np.diff(distances) >= 0).all()
+
+    shuffled = gym.make("esc_gym/highway-fast-v0", order="shuffled")
+    road = gym.make("esc_gym/highway-fast-v0")
+    orders = set()
+    a, info_a = shuffled.reset(seed=5)
+    b, info_b = road.reset(seed=5)
+    for _ in range(4):
+        assert sorted(map(tuple, a["vehicles"])) == sorted(map(tuple, b["vehicles"]))
+        ids = info_a["set"]["ids"]
+        orders.add(tuple(np.argsort(ids)))
+        if len(ids) > 3 and sorted(ids) != list(ids):
+            orders.add("permuted")
+        for i, j in enumerate(info_b["set"]["ids"]):
+            assert (a["vehicles"][ids.index(j)] == b["vehicles"][i]).all()
+        a, *_, info_a = shuffled.step(1)
+        b, *_, info_b = road.step(1)
+    assert "permuted" in orders
+    state = "np_random"
+    assert getattr(shuffled.unwrapped, state).bit_generator.state == (
+        getattr(road.unwrapped, state).bit_generator.state
+    )
+
+
+def test_shuffle_is_reproducible_by_seed():
+    envs = [gym.make("esc_gym/highway-fast-v0", order="shuffled") for _ in range(2)]
+    rollouts = []
+    for env in envs:
+        observation, info = env.reset(seed=11)
+        ids = [info["set"]["ids"]]
+        for _ in range(3):
+            *_, info = env.step(1)
+            ids.append(info["set"]["ids"])
+        rollouts.append(ids)
+    assert rollouts[0] == rollouts[1]
+
+
+def test_ids_follow_vehicles(env):
+    _, info = env.reset(seed=2)
+    base, seen = env.unwrapped, {}
+    for _ in range(5):
+        rows = env.get_wrapper_attr("decode")(observe(env))["vehicles"]
+        for row, number in zip(rows, base.observation_type.info["ids"], strict=False):
+            nearest = min(
+                base.road.vehicles,
+                key=lambda v: np.abs(v.position - base.vehicle.position - row[:2]).sum(),
+            )
+            assert seen.setdefault(number, nearest) is nearest
+        env.step(1)
+    assert len(seen) > 3
+
+
+def test_ranges_scale_without_clipping():
+    env = gym.make("esc_gym/highway-fast-v0", ranges={"x": (-50, 50), "speed": (0, 30)})
+    env.reset(seed=0)
+    alone(env)
+    place(env, x=150.0)
+    place(env, x=-25.0)
+    observation = observe(env)
+    assert observation["vehicles"][:2, 0] == pytest.approx([3.0, -0.5], abs=1e-5)
+    assert observation in env.observation_space
+    assert env.observation_space["vehicles"].high[0, 0] == pytest.approx(4.0)
+    speed = env.unwrapped.vehicle.speed
+    assert observation["ego"][0] == pytest.approx(speed / 15 - 1, abs=1e-6)
+    assert env.get_wrapper_attr("decode")(observation)["ego"][0] == pytest.approx(speed, abs=1e-4)
+
+
+def test_decode_batches(env):
+    observation, _ = env.reset(seed=0)
+    decode = env.get_wrapper_attr("decode")
+    batch = {key: np.stack([value, value]) for key, value in observation.items()}
+    for key, value in decode(observation).items():
+        assert (decode(batch)[key] == value).all()
+    assert not decode(observation)["vehicles"][observation["mask"] == 0].any()
+
+
+@pytest.mark.parametrize("name", sorted(EGO_FEATURES))
+def test_every_ego_feature_is_served_by_some_environment(name):
+    base_id = {"goal": "parking-v0", "exit": "exit-v0", "ref": "lane-keeping-v0"}.get(
+        name.split("_")[0], "intersection-v0"
+    )
+    env = gym.make(f"esc_gym/{base_id}", ego_features=[name])
+    observation, _ = env.reset(seed=1)
+    assert observation["ego"].shape == (1,)
+    assert abs(observation["ego"][0]) <= 1
+
+
+def test_ego_features_against_the_simulator():
+    env = gym.make("esc_gym/intersection-v0", frame="ego")
+    env.reset(seed=3)
+    env.step(2)
+    ego, road = env.unwrapped.vehicle, env.unwrapped.road
+    values = dict(
+        zip(
+            env.get_wrapper_attr("set_spec").ego_features,
+            env.get_wrapper_attr("decode")(observe(env))["ego"],
+            strict=True,
+        )
+    )
+    longitudinal, lateral, angle = ego.lane_offset
+    to_destination = ego.destination - ego.position
+    along = np.array([math.cos(ego.heading), math.sin(ego.heading)])
+    expected = {
+        "speed": ego.speed,
+        "lat_off": lateral,
+        "cos_lane": math.cos(angle),
+        "sin_lane": math.sin(angle),
+        "lanes_left": ego.lane_index[2],
+        "lanes_right": len(road.network.all_side_lanes(ego.lane_index)) - 1 - ego.lane_index[2],
+        "speed_limit": ego.lane.speed_limit,
+        "target_speed": ego.target_speed,
+        "dest_x": along @ to_destination,
+        "dest_y": along[0] * to_destination[1] - along[1] * to_destination[0],
+    }
+    for name, value in expected.items():
+        assert values[name] == pytest.approx(value, abs=1e-4), name
+
+
+def test_extra_vehicle_features():
+    features = ["obstacle", "width", "y", "cos_d", "sin_d", "length"]
+    env = gym.make("esc_gym/intersection-v0", features=features, frame="world")
+    observation, info = env.reset(seed=0)
+    rows = env.get_wrapper_attr("decode")(observation)["vehicles"][: info["set"]["count"]]
+    others = [v for v in env.unwrapped.road.vehicles if v is not env.unwrapped.vehicle]
+    for row, other in zip(rows, others, strict=True):
+        direction = other.destination_direction
+        offset = other.position[1] - env.unwrapped.vehicle.position[1]
+        assert row == pytest.approx([0, 2, offset, *direction, 5], abs=1e-4)
+    assert observation in env.observation_space
+
+
+def test_trajectories_are_highway_envs_own():
+    """The wrapper changes what is observed, nothing else: rewards, flags, generator, positions."""
+    for base_id in ("highway-fast-v0", "intersection-v0", "parking-v0", "lane-keeping-v0"):
+        stock = gym.make(base_id)
+        # The order draws random numbers, but never the simulator's.
+        ours = SetObservation(gym.make(base_id), order="shuffled")
+        stock.reset(seed=4)
+        ours.reset(seed=4)
+        # Stock observations of lane keeping draw noise from the simulator's generator; ours do not.
+        compare_generator = base_id != "lane-keeping-v0"
+        for _ in range(8):
+            ours.action_space.seed(1)
+            action = ours.action_space.sample()
+            _, reward, terminated, truncated, _ = stock.step(action)
+            _, *mine, _ = ours.step(action)
+            assert mine == [reward, terminated, truncated]
+            for a, b in zip(
+                stock.unwrapped.road.vehicles, ours.unwrapped.road.vehicles, strict=True
+            ):
+                assert (a.position == b.position).all()
+                assert (a.speed, a.heading) == (b.speed, b.heading)
+            if compare_generator:
+                assert (
+                    stock.unwrapped.np_random.bit_generator.state
+                    == ours.unwrapped.np_random.bit_generator.state
+                )
+            if terminated:
+                break
+
+
+def test_the_stock_observation_is_never_computed(monkeypatch):
+    from highway_env.envs.common import observation
+
+    def paid(self):
+        raise AssertionError("pandas observation computed")
+
+    envs = [gym.make(f"esc_gym/{i}") for i in ("highway-fast-v0", "exit-v0", "parking-v0")]
+    monkeypatch.setattr(observation.KinematicObservation, "observe", paid)
+    monkeypatch.setattr(observation.ExitObservation, "observe", paid)
+    monkeypatch.setattr(observation.KinematicsGoalObservation, "observe", paid)
+    for env in envs:
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
+
+
+def test_parking_goal_observation_equals_stock_bit_for_bit():
+    env = gym.make("esc_gym/parking-v0")
+    env.reset(seed=0)
+    env.step(np.array([0.3, 0.2], dtype=np.float32))
+    base = env.unwrapped
+    stock = observation_factory(base, base.PARKING_OBS["observation"]).observe()
+    mine = base.observation_type_parking.observe()
+    assert stock.keys() == mine.keys()
+    for key, value in stock.items():
+        assert (value == mine[key]).all()
+
+
+def rollout(env, steps=3, seed=None):
+    observations = []
+    for _ in range(steps):
+        observation, *_ = env.step(1)
+        observations.append(np.concatenate([observation["ego"], observation["vehicles"].ravel()]))
+    return np.array(observations)
+
+
+def test_pickle_and_deepcopy_in_mid_episode():
+    env = gym.make("esc_gym/intersection-v0", order="shuffled")
+    env.reset(seed=0)
+    env.step(1)
+    copies = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    expected = rollout(env)
+    for other in copies:
+        assert other.unwrapped.observation_type.env is other.unwrapped
+        assert (rollout(other) == expected).all()
+        other.reset(seed=1)
+        assert other.unwrapped.observation_type.env is other.unwrapped
+
+
+def test_spec_round_trip_and_additional_wrappers():
+    env = gym.make("esc_gym/highway-fast-v0", max_vehicles=7, config={"lanes_count": 2})
+    again = gym.make(env.spec)
+    assert again.observation_space == env.observation_space
+    assert again.unwrapped.config["lanes_count"] == 2
+    assert gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json())).observation_space
+
+    wrapped = SetObservation(gym.make("highway-fast-v0"), max_vehicles=4)
+    assert gym.make(wrapped.spec).observation_space == wrapped.observation_space
+
+    gym.register(
+        "set-highway-v0",
+        entry_point="highway_env.envs.highway_env:HighwayEnvFast",
+        additional_wrappers=(SetObservation.wrapper_spec(max_vehicles=3),),
+    )
+    try:
+        assert gym.make("set-highway-v0").observation_space["mask"].n == 3
+    finally:
+        del gym.registry["set-highway-v0"]
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_make_vec(mode):
+    envs = gym.make_vec("esc_gym/merge-v0", num_envs=2, vectorization_mode=mode)
+    observations, infos = envs.reset(seed=0)
+    assert observations["vehicles"].shape == (2, 5, 7)
+    observations, *_, infos = envs.step(np.array([1, 1]))
+    assert infos["set"]["count"].tolist() == observations["mask"].sum(axis=1).tolist()
+    envs.close()
+
+
+def test_wrapping_again_replaces_the_observation(env):
+    again = SetObservation(env, max_vehicles=3, perception_distance=30.0)
+    observation, info = again.reset(seed=0)
+    assert observation in again.observation_space
+    assert info["set"]["count"] == len(expected_set(again, 30.0, "world"))
+
+
+def test_speed_range_widens_the_scale():
+    action = {"type": "ContinuousAction", "speed_range": [-10, 60]}
+    env = gym.make("esc_gym/highway-fast-v0", config={"action": action})
+    env.reset(seed=0)
+    env.unwrapped.vehicle.speed = 60.0
+    observation = observe(env)
+    assert env.get_wrapper_attr("decode")(observation)["ego"][0] == pytest.approx(60.0, abs=1e-4)
+    assert observation in env.observation_space
+
+
+BAD = [
+    ({"max_vehicles": 0}, "max_vehicles: expected a whole number of at least 1, got 0"),
+    ({"max_vehicles": 2.5}, "expected a whole number"),
+    ({"max_vehicles": True}, "expected a whole number"),
+    ({"features": ["x", "colour"]}, r"got \['colour'\]"),
+    ({"features": []}, "expected distinct names"),
+    ({"features": ["x", "x"]}, "expected distinct names"),
+    ({"ego_features": ["goal_x"]}, "does not exist in HighwayEnvFast"),
+    ({"perception_distance": -1.0}, "expected a positive finite number"),
+    ({"perception_distance": float("nan")}, "expected a positive finite number"),
+    ({"order": "sorted"}, r"order: expected one of \('road', 'shuffled', 'distance'\)"),
+    ({"frame": "polar"}, "frame: expected one of"),
+    ({"empty": "none"}, "empty: expected one of"),
+    ({"on_overflow": "drop"}, "on_overflow: expected one of"),
+    ({"ranges": {"z": (0, 1)}}, "got 'z'"),
+    ({"ranges": {"x": (1, 1)}}, r"expected \(low, high\)"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD)
+def test_bad_arguments(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        SetObservation(gym.make("highway-fast-v0"), **arguments)
+
+
+def test_wrong_environments():
+    with pytest.raises(TypeError, match="expected a highway-env environment, got CartPoleEnv"):
+        SetObservation(gym.make("CartPole-v1"))
+    with pytest.raises(ValueError, match="expected one controlled vehicle"):
+        SetObservation(gym.make("intersection-multi-agent-v0"))
+    flat = gym.wrappers.FlattenObservation(gym.make("highway-fast-v0"))
+    with pytest.raises(ValueError, match="Apply SetObservation first"):
+        SetObservation(flat)
+
+
+def test_import_loads_neither_torch_nor_sb3():
+    code = (
+        "import sys, esc_gym; heavy = {'torch', 'stable_baselines3', 'numba'} & set(sys.modules); "
+        "assert not heavy, heavy; import esc_gym.extractors; assert 'torch' in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_table_of_contents():
+    assert set(esc_gym.__all__) <= set(dir(esc_gym))
+    for name in esc_gym.__all__:
+        assert getattr(esc_gym, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = esc_gym.nothing
+    assert set(DEFAULT_FEATURES) <= set(VEHICLE_FEATURES)
+    assert Vehicle.MAX_SPEED == 40.0  # the tables were read off this highway-env
