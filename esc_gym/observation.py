@@ -18,7 +18,7 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.observation import KinematicsGoalObservation, ObservationType
+from highway_env.envs.common.observation import ObservationType
 from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 
@@ -96,6 +96,13 @@ class SetObservationType(ObservationType):
     def __init__(self, env: AbstractEnv, spec: SetSpec) -> None:
         super().__init__(env)
         self.spec, self.rng = spec, np.random.default_rng()
+        self.info: dict[str, Any] = {"count": 0, "overflow": 0, "ids": ()}
+        self._warned = False
+        self._compile()
+
+    def _compile(self) -> None:
+        """Look the features up in their tables, whose functions do not pickle."""
+        spec = self.spec
         self.rows = spec.scale(VEHICLE_FEATURES, spec.features)
         self.ego = spec.scale(EGO_FEATURES, spec.ego_features)
         extra = [name for name in spec.features if name not in DEFAULT_FEATURES]
@@ -107,8 +114,14 @@ class SetObservationType(ObservationType):
         self._ego_columns = list(
             zip(getters, self.ego.center.tolist(), self.ego.half.tolist(), strict=True)
         )
-        self.info: dict[str, Any] = {"count": 0, "overflow": 0, "ids": ()}
-        self._warned = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        compiled = ("rows", "ego", "_extra_getters", "_columns", "_ego_columns")
+        return {name: value for name, value in vars(self).items() if name not in compiled}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._compile()
 
     def space(self) -> spaces.Dict:
         n, d1 = self.spec.max_vehicles, len(self.spec.features)
@@ -133,29 +146,32 @@ class SetObservationType(ObservationType):
             mask[: len(kept)] = 1
         elif self.spec.empty == "virtual":
             vehicles[0], mask[0] = self._virtual_row(), 1
-        ids = tuple([self._id(item[3]) for item in kept])
+        ids = tuple([item[4] for item in kept])
         self.info = {"count": count, "overflow": count - len(kept), "ids": ids}
+        return {"ego": self._ego(view), "vehicles": vehicles, "mask": mask}
+
+    def _ego(self, view: EgoView) -> NDArray[np.float32]:
         # Scalars, not arrays: d2 is about ten, and NumPy's calls would cost more than the numbers.
-        ego = [
+        values = [
             min(1.0, max(-1.0, (get(view) - center) / half))
             for get, center, half in self._ego_columns
         ]
-        return {"ego": np.array(ego, np.float32), "vehicles": vehicles, "mask": mask}
+        return np.array(values, np.float32)
 
     def _rows(self, view: EgoView, kept: list) -> NDArray[np.float64]:
         """Physical feature values, one row per kept object."""
         if extra := self._extra_getters:
             rows = [
                 (*default_row(view, other, dx, dy), *[get(view, other) for get in extra])
-                for _, dx, dy, other in kept
+                for _, dx, dy, other, _ in kept
             ]
         else:
-            rows = [default_row(view, other, dx, dy) for _, dx, dy, other in kept]
+            rows = [default_row(view, other, dx, dy) for _, dx, dy, other, _ in kept]
         values = np.array(rows)
         return values if self._columns is None else values[:, self._columns]
 
-    def _perceived(self, view: EgoView) -> list[tuple[float, float, float, Any]]:
-        """(squared distance, dx, dy, object) of all that is nearer than the perception distance."""
+    def _perceived(self, view: EgoView) -> list[tuple[float, float, float, Any, int]]:
+        """(squared distance, dx, dy, object, id) of all nearer than the perception distance."""
         x, y, ego = view.x, view.y, view.vehicle
         reach = self.spec.perception_distance
         limit = reach * reach
@@ -167,7 +183,7 @@ class SetObservationType(ObservationType):
                 dy = other_y - y
                 squared = dx * dx + dy * dy
                 if squared < limit and other is not ego and other.solid:
-                    near.append((squared, dx, dy, other))
+                    near.append((squared, dx, dy, other, self._id(other)))
         return near
 
     def _kept(self, near: list) -> list:
@@ -213,18 +229,6 @@ class SetObservationType(ObservationType):
             return vehicle.set_id
 
 
-class _GoalObservation(KinematicsGoalObservation):
-    """The goal observation that ParkingEnv rewards by, to the same bits without pandas."""
-
-    def observe(self) -> dict[str, NDArray]:
-        if not self.observer_vehicle:
-            return super().observe()
-        state, goal = self.observer_vehicle.to_dict(), self.observer_vehicle.goal.to_dict()
-        achieved = np.array([state[name] for name in self.features]) / self.scales
-        desired = np.array([goal[name] for name in self.features]) / self.scales
-        return {"observation": achieved, "achieved_goal": achieved, "desired_goal": desired}
-
-
 class _DefineSpaces:
     """Replaces ``define_spaces`` on one environment; a class, since it must pickle and copy."""
 
@@ -241,8 +245,6 @@ class _DefineSpaces:
         finally:
             env.config["observation"] = stock
         env.observation_type, env.observation_space = self.observation_type, self.space
-        if parking := getattr(env, "observation_type_parking", None):
-            parking.__class__ = _GoalObservation
 
 
 class SetObservation(gym.Wrapper, RecordConstructorArgs):
@@ -306,10 +308,17 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         on_overflow: OnOverflow = "warn",
     ) -> None:
         RecordConstructorArgs.__init__(
-            self, max_vehicles=max_vehicles, features=features, ego_features=ego_features,
-            perception_distance=perception_distance, order=order, frame=frame, ranges=ranges,
-            empty=empty, on_overflow=on_overflow,
-        )  # fmt: skip
+            self,
+            max_vehicles=max_vehicles,
+            features=list(features),
+            ego_features=ego_features and list(ego_features),
+            perception_distance=perception_distance,
+            order=order,
+            frame=frame,
+            ranges=ranges and {name: list(bounds) for name, bounds in ranges.items()},
+            empty=empty,
+            on_overflow=on_overflow,
+        )  # fmt: skip  (lists, so that the spec survives JSON)
         super().__init__(env)
         base = _single_agent(env)
         scenario = scenario_of(base)
@@ -337,7 +346,7 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
                 f"changes the observation: {self.env}. Apply SetObservation first."
             )
         try:
-            base.observation_type.observe()
+            base.observation_type._ego(EgoView(base, self.set_spec.frame))
         except AttributeError as missing:
             raise ValueError(
                 f"an ego feature in {self.set_spec.ego_features} does not exist in "
@@ -365,7 +374,8 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._behavior.pin(base.road.vehicles)
         info["set"] = base.observation_type.info
-        return observation, reward, terminated, truncated, info
+        # Some environments of highway-env return numpy.bool here, which SB3's checker refuses.
+        return observation, reward, bool(terminated), bool(truncated), info
 
     def decode(self, observation: Mapping[str, NDArray]) -> Observation:
         """Physical units (m, m/s, 1) of an observation, or of a batch ``[..., N, d1]`` of them.

@@ -16,6 +16,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from esc_gym.behavior import original_behavior
 from esc_gym.observation import SetObservation
+from esc_gym.parking import WITHOUT_GOAL_KEYS
 
 NAMESPACE = "esc_gym"
 HIGHWAY_ENV_IDS = tuple(
@@ -59,6 +60,7 @@ def make(
             f"single-agent environments of highway-env, for example {NAMESPACE}/intersection-v0."
         )
     env_class = load_env_creator(gym.registry[base_id].entry_point)
+    env_class = WITHOUT_GOAL_KEYS.get(env_class, env_class)
     merged = merge_config(env_class.default_config(), config or {})
     with original_behavior(utils.class_from_path(merged["other_vehicles_type"])):
         return SetObservation(_construct(env_class, merged, render_mode), **set_observation)
