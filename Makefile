@@ -21,7 +21,7 @@ test: setup
 	$(BIN)/pytest -n $(WORKERS)
 
 bench: setup
-	$(BIN)/pytest tests/benchmarks --benchmark-enable -o norecursedirs= -s
+	$(BIN)/pytest tests/benchmarks --benchmark-enable -o norecursedirs=.* -s
 
 lint: setup
 	$(BIN)/ruff check .

@@ -35,7 +35,7 @@ _LAZY = {
     "AttentionExtractor": "esc_gym.extractors",
 }
 
-__all__ = ["ENV_IDS", "SetObservation", "__version__", *_LAZY]
+__all__ = ["ENV_IDS", "SetObservation", "__version__", *_LAZY]  # pyright: ignore
 
 
 def __getattr__(name: str) -> Any:

@@ -47,7 +47,7 @@ def _write(cls: type[IDMVehicle], parameters: dict[str, float]) -> None:
 
 
 @contextmanager
-def original_behavior(vehicle_type: type) -> Iterator[None]:
+def original_behavior(vehicle_type: Any) -> Iterator[None]:
     """Inside, ``vehicle_type`` and ``IDMVehicle`` have the parameters of a fresh process."""
     lineage = {*vehicle_type.__mro__, IDMVehicle}
     classes = [cls for cls in lineage if issubclass(cls, IDMVehicle)]

@@ -42,8 +42,10 @@ class Limits:
 class EgoView:
     """The ego vehicle at the instant of an observation: what every getter reads, computed once."""
 
-    __slots__ = ("cos", "env", "lane", "lateral", "longitudinal", "sin", "vehicle")
-    __slots__ += ("heading", "speed", "vx", "vy", "x", "y")
+    __slots__ = (
+        "cos", "env", "heading", "lane", "lateral", "longitudinal", "sin", "speed", "vehicle",
+        "vx", "vy", "x", "y",
+    )  # fmt: skip
 
     def __init__(self, env: Any, frame: Frame) -> None:
         self.env, self.vehicle = env, env.vehicle

@@ -83,7 +83,7 @@ class SetSpec:
 
     def scale(self, table: Mapping[str, Any], names: Sequence[str]) -> MinMax:
         bounds = [table[name].bounds(self.limits) for name in names]
-        ranges = [self.ranges.get(name, bound) for name, bound in zip(names, bounds, strict=True)]
+        ranges = [self.ranges.get(name) or bound for name, bound in zip(names, bounds, strict=True)]
         return MinMax(ranges, bounds)
 
 
@@ -106,7 +106,7 @@ class SetObservationType(ObservationType):
         self.rows = spec.scale(VEHICLE_FEATURES, spec.features)
         self.ego = spec.scale(EGO_FEATURES, spec.ego_features)
         extra = [name for name in spec.features if name not in DEFAULT_FEATURES]
-        self._extra_getters = [VEHICLE_FEATURES[name].get for name in extra]
+        self._extra_getters: list[Any] = [VEHICLE_FEATURES[name].get for name in extra]
         computed = [*DEFAULT_FEATURES, *extra]
         columns = [computed.index(name) for name in spec.features]
         self._columns = None if list(spec.features) == computed else columns
@@ -120,7 +120,7 @@ class SetObservationType(ObservationType):
         return {name: value for name, value in vars(self).items() if name not in compiled}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
+        self.__dict__.update(state)
         self._compile()
 
     def space(self) -> spaces.Dict:
@@ -175,7 +175,8 @@ class SetObservationType(ObservationType):
         x, y, ego = view.x, view.y, view.vehicle
         reach = self.spec.perception_distance
         limit = reach * reach
-        road, near = self.env.road, []
+        road: Any = self.env.road
+        near = []
         for other in chain(road.vehicles, road.objects):
             other_x, other_y = other.position.tolist()
             dx = other_x - x
@@ -213,7 +214,7 @@ class SetObservationType(ObservationType):
             warnings.warn(message, stacklevel=6)
             self._warned = True
 
-    def _virtual_row(self) -> NDArray[np.float32]:
+    def _virtual_row(self) -> NDArray[np.float64]:
         """The paper's virtual vehicle: at the perception limit ahead, moving as the ego does."""
         raw = {"x": self.spec.perception_distance, "cos_h": 1.0, "length": 5.0, "width": 2.0}
         return self.rows.encode(np.array([raw.get(name, 0.0) for name in self.spec.features]))
@@ -337,7 +338,7 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         self._install(base)
         self._behavior = Behavior()
 
-    def _install(self, base: AbstractEnv) -> None:
+    def _install(self, base: Any) -> None:
         base.define_spaces = _DefineSpaces(SetObservationType(base, self.set_spec))
         base.define_spaces()
         if self.env.observation_space != base.observation_space:
@@ -357,10 +358,10 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Reset as highway-env does; ``seed`` also seeds the order ``"shuffled"``."""
-        base = self.unwrapped
+        base: Any = self.unwrapped
         if seed is not None:
             base.observation_type.rng = np.random.default_rng([seed, 0x5E7])
-        vehicle_type = utils.class_from_path(base.config["other_vehicles_type"])
+        vehicle_type: Any = utils.class_from_path(base.config["other_vehicles_type"])
         with original_behavior(vehicle_type):
             observation, info = self.env.reset(seed=seed, options=options)
             self._behavior.learn({IDMVehicle, vehicle_type, *map(type, base.road.vehicles)})
@@ -370,7 +371,7 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
 
     def step(self, action: Any) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
         """Step as highway-env does, with the set as observation and in ``info["set"]``."""
-        base = self.unwrapped
+        base: Any = self.unwrapped
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._behavior.pin(base.road.vehicles)
         info["set"] = base.observation_type.info
@@ -383,14 +384,15 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         Returns ``ego`` [..., d2], ``vehicles`` [..., N, d1] (float64, padded rows zero) and
         ``mask``; the columns are ``set_spec.ego_features`` and ``set_spec.features``.
         """
-        kind = self.unwrapped.observation_type
+        base: Any = self.unwrapped
+        kind = base.observation_type
         mask = np.asarray(observation["mask"])
         vehicles = kind.rows.decode(observation["vehicles"]) * (mask[..., None] != 0)
         return {"ego": kind.ego.decode(observation["ego"]), "vehicles": vehicles, "mask": mask}
 
 
-def _single_agent(env: gym.Env) -> AbstractEnv:
-    base = env.unwrapped
+def _single_agent(env: gym.Env) -> Any:
+    base: Any = env.unwrapped
     if not isinstance(base, AbstractEnv):
         raise TypeError(
             f"SetObservation expected a highway-env environment, got {type(base).__name__}. "

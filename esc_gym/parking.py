@@ -25,21 +25,20 @@ class GoalObservation(KinematicsGoalObservation):
     def observe(self) -> dict[str, NDArray]:
         if not self.observer_vehicle:
             return super().observe()
-        state, goal = self.observer_vehicle.to_dict(), self.observer_vehicle.goal.to_dict()
+        vehicle: Any = self.observer_vehicle
+        state, goal = vehicle.to_dict(), vehicle.goal.to_dict()
         achieved = np.array([state[name] for name in self.features]) / self.scales
         desired = np.array([goal[name] for name in self.features]) / self.scales
         return {"observation": achieved, "achieved_goal": achieved, "desired_goal": desired}
 
 
-class _WithoutGoalKeys:
-    config: dict[str, Any]
-
+class _WithoutGoalKeys(ParkingEnv):
     @property
-    def compute_reward(self) -> Any:
+    def compute_reward(self) -> Any:  # type: ignore[override]
         raise AttributeError("compute_reward: the set observation has no goal keys")
 
     def define_spaces(self) -> None:
-        super().define_spaces()  # type: ignore[misc]
+        super().define_spaces()
         arguments = {k: v for k, v in self.PARKING_OBS["observation"].items() if k != "type"}
         self.observation_type_parking = GoalObservation(self, **arguments)
 
@@ -53,7 +52,7 @@ class _WithoutGoalKeys:
         return reward > -self.config["success_goal_reward"]
 
 
-class SetParkingEnv(_WithoutGoalKeys, ParkingEnv):
+class SetParkingEnv(_WithoutGoalKeys):
     """parking-v0."""
 
 

@@ -59,9 +59,11 @@ def make(
             f"{NAMESPACE}/{base_id} is multi-agent; esc_gym supports the {len(ENV_IDS)} "
             f"single-agent environments of highway-env, for example {NAMESPACE}/intersection-v0."
         )
-    env_class = load_env_creator(gym.registry[base_id].entry_point)
+    env_class: Any = load_env_creator(str(gym.registry[base_id].entry_point))
     env_class = WITHOUT_GOAL_KEYS.get(env_class, env_class)
     merged = merge_config(env_class.default_config(), config or {})
+    # Constructing observes once before ours is there: cheap, and no crash on continuous u-turns.
+    merged["observation"] = {"type": "Kinematics"}
     with original_behavior(utils.class_from_path(merged["other_vehicles_type"])):
         return SetObservation(_construct(env_class, merged, render_mode), **set_observation)
 

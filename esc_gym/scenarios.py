@@ -28,7 +28,7 @@ ROUTE = ("dest_x", "dest_y")
 DYNAMICS = ("lateral_speed", "yaw_rate")
 _STEER = ("speed", "lat_off", "cos_lane", "sin_lane", "speed_limit", *DYNAMICS)
 _LANE_CHANGE_REWARD = "its reward compares the action with the meta-actions 0 and 2"
-_TARGET_SPEED_REWARD = "its reward reads the target speed of a meta-action vehicle"
+_TARGET_SPEED_REWARD = "its reward reads the target speeds of a meta-action vehicle"
 
 
 @dataclass(frozen=True)
@@ -85,17 +85,16 @@ SCENARIOS: dict[type[AbstractEnv], Scenario] = {
         lambda c: c["vehicles_count"], "ego", (*DEFAULT_EGO_FEATURES, *ROUTE), _LANE_CHANGE_REWARD
     ),
     TwoWayEnv: Scenario(lambda c: 5, discrete_only=_TARGET_SPEED_REWARD),
-    UTurnEnv: Scenario(lambda c: 6, "ego", (*DEFAULT_EGO_FEATURES, *ROUTE), _TARGET_SPEED_REWARD),
+    UTurnEnv: Scenario(lambda c: 6, "ego", (*DEFAULT_EGO_FEATURES, *ROUTE)),
 }
 
 
-def scenario_of(env: AbstractEnv) -> Scenario:
-    """The row of ``SCENARIOS`` for ``env``'s class.
+def scenario_of_class(env_class: type) -> Scenario | None:
+    """The row of ``SCENARIOS`` for a class or its nearest listed ancestor."""
+    return next((SCENARIOS[cls] for cls in env_class.__mro__ if cls in SCENARIOS), None)
 
-    For an environment that derives from none of them: the number of objects on its road now.
-    """
-    for cls in type(env).__mro__:
-        if cls in SCENARIOS:
-            return SCENARIOS[cls]
+
+def scenario_of(env: Any) -> Scenario:
+    """The row for ``env``; one that derives from none counts the objects on its road now."""
     count = len(env.road.vehicles) - 1 + sum(o.solid for o in env.road.objects)
-    return Scenario(lambda config: count)
+    return scenario_of_class(type(env)) or Scenario(lambda config: count)

@@ -26,7 +26,7 @@ from tests.esc_gym.road import assert_same_set, expected_set
 def place(env, x=20.0, y=0.0, speed=0.0, heading=0.0, cls=IDMVehicle):
     """Add an object at a place relative to the ego."""
     base = env.unwrapped
-    other = cls(base.road, base.vehicle.position + [x, y], heading=heading, speed=speed)
+    other = cls(base.road, base.vehicle.position + np.array([x, y]), heading=heading, speed=speed)
     (base.road.objects if cls in (Obstacle, Landmark) else base.road.vehicles).append(other)
     return other
 
@@ -185,7 +185,7 @@ def test_shuffle_is_reproducible_by_seed():
     envs = [gym.make("esc_gym/highway-fast-v0", order="shuffled") for _ in range(2)]
     rollouts = []
     for env in envs:
-        observation, info = env.reset(seed=11)
+        _, info = env.reset(seed=11)
         ids = [info["set"]["ids"]]
         for _ in range(3):
             *_, info = env.step(1)
@@ -195,7 +195,7 @@ def test_shuffle_is_reproducible_by_seed():
 
 
 def test_ids_follow_vehicles(env):
-    _, info = env.reset(seed=2)
+    env.reset(seed=2)
     base, seen = env.unwrapped, {}
     for _ in range(5):
         rows = env.get_wrapper_attr("decode")(observe(env))["vehicles"]
@@ -256,7 +256,7 @@ def test_ego_features_against_the_simulator():
             strict=True,
         )
     )
-    longitudinal, lateral, angle = ego.lane_offset
+    _, lateral, angle = ego.lane_offset
     to_destination = ego.destination - ego.position
     along = np.array([math.cos(ego.heading), math.sin(ego.heading)])
     expected = {

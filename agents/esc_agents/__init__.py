@@ -1,0 +1,1 @@
+"""Applications of esc_gym: training, evaluation and comparison of driving agents."""

@@ -1,0 +1,81 @@
+"""esc-train: train an agent in one of highway-env's scenarios."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from esc_agents.cli import guarded, parse
+from esc_agents.config import TrainConfig, config_for_env, load_config
+from esc_agents.errors import UserError
+
+PROGRAM = "esc-train"
+
+
+class TrainArguments(TrainConfig):
+    """Train an agent in one of highway-env's scenarios.
+
+    Defaults are those of the scenario that --env or --config names; any field can be overridden.
+    """
+
+    config: str | None = None
+    """YAML file, or name of a shipped scenario, with the values of all other flags."""
+    resume: Path | None = None
+    """Run directory to continue; beside it only --steps and --device are taken."""
+
+
+RESUMABLE = {"steps", "device", "resume"}
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    guarded(PROGRAM, lambda: command(sys.argv[1:]))
+
+
+def command(args: list[str]) -> int:
+    """0: done; 130: interrupted, saved."""
+    base = _base(args)
+    arguments = parse(PROGRAM, TrainArguments, args, default=base)
+    config = _config(arguments, base)
+    if arguments.resume:
+        before, after = base.model_dump(), arguments.model_dump()
+        if changed := [key for key in before if before[key] != after[key] and key not in RESUMABLE]:
+            raise UserError(
+                f"--resume continues a run as it was: expected only --steps and --device beside "
+                f"it, got {', '.join(changed)}"
+            )
+    from esc_agents.train import train  # torch loads once the arguments are right
+
+    return 0 if train(config, resume=arguments.resume) else 130
+
+
+def _base(args: list[str]) -> TrainArguments:
+    """The defaults behind the flags: of the run to resume, of --config, or of --env."""
+    early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    for flag in ("--config", "--env", "--resume"):
+        early.add_argument(flag)
+    try:
+        given, _ = early.parse_known_args(args)
+    except argparse.ArgumentError as error:
+        raise UserError(str(error)) from error
+    if given.resume:
+        from esc_agents.run import open_run
+
+        base = open_run(Path(given.resume))
+    elif given.config:
+        base = load_config(given.config)
+    else:
+        base = config_for_env(given.env or TrainConfig().env)
+    return TrainArguments.model_construct(**dict(base))
+
+
+def _config(arguments: TrainArguments, base: TrainArguments) -> TrainConfig:
+    """The run's configuration: ``arguments`` with scenario names resolved to ids."""
+    values = dict(arguments)
+    del values["config"], values["resume"]
+    # --env-config adds to the scenario's configuration instead of replacing it.
+    values["env_config"] = {**base.env_config, **arguments.env_config}
+    if not arguments.config:
+        values["env"] = base.env  # --env may have named a scenario, of which this is the id
+    return TrainConfig(**values)

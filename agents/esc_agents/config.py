@@ -1,0 +1,261 @@
+"""What a run is: strict, frozen pydantic models, filled from YAML and the command line."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    ValidationError,
+)
+from tyro.constructors import PrimitiveConstructorSpec
+
+from esc_agents.errors import UserError
+from esc_gym.features import DEFAULT_FEATURES
+from esc_gym.registration import ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
+
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+def _flow(value: Any) -> str:
+    return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10**6).strip()
+
+
+# On the command line a mapping is one YAML argument: --env-config '{lanes_count: 3}'.
+_YamlArgument = PrimitiveConstructorSpec(
+    nargs=1,
+    metavar="YAML",
+    instance_from_str=lambda text: yaml.safe_load(text[0]),
+    is_instance=lambda value: isinstance(value, dict),
+    str_from_instance=lambda value: [_flow(value)],
+)
+Mapping = Annotated[dict[str, Any], _YamlArgument]
+Ranges = Annotated[dict[str, tuple[float, float]], _YamlArgument]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class ObservationConfig(_Model):
+    """Arguments of esc_gym.SetObservation."""
+
+    max_vehicles: PositiveInt | None = None
+    """N, rows of the padded set; default: as many as the scenario can hold."""
+    features: tuple[str, ...] = DEFAULT_FEATURES
+    """Columns of a vehicle (d1 of them)."""
+    ego_features: tuple[str, ...] | None = None
+    """Entries of the ego vector (d2 of them); default: the scenario's."""
+    perception_distance: PositiveFloat = 200.0
+    """Radius of the set [m]."""
+    order: Literal["road", "shuffled", "distance"] | None = None
+    """Order of the rows; default: shuffled for ap, which must see every order, else road."""
+    frame: Literal["world", "ego"] | None = None
+    """Axes; default: the ego's body frame where the road turns."""
+    ranges: Ranges = {}
+    """{feature: [low, high]} mapped to [-1, 1]; default: all that can occur."""
+    empty: Literal["zeros", "virtual"] = "zeros"
+    """What a set without vehicles looks like."""
+    on_overflow: Literal["warn", "error"] = "warn"
+    """What happens when more than max_vehicles are near."""
+
+
+class EncoderConfig(_Model):
+    """The features extractor."""
+
+    hidden: tuple[PositiveInt, ...] = (128, 128)
+    """Hidden widths of ESC's h; other representations get as many parameters as that has."""
+    code_dim: PositiveInt | None = None
+    """d3; default: N*d1 + 1, the paper's Theorem 1."""
+    match_parameters: bool = True
+    """False: every representation takes `hidden` as it is."""
+    arguments: Mapping = {}
+    """Further arguments of the encoder class, e.g. {scale: 0.1} or {slots: 15}."""
+
+
+class ContinuousConfig(_Model):
+    """What --algo sac changes in a scenario."""
+
+    env_config: Mapping = {}
+    """Merged over the scenario's env_config."""
+    progress_reward: NonNegativeFloat = 0.0
+    """Reward per policy step for 30 m/s along the lane; less, or negative, in proportion."""
+    offroad_terminal: bool = False
+    """End the episode where the ego leaves the road."""
+
+
+class PPOConfig(_Model):
+    """Stable-Baselines3 PPO."""
+
+    learning_rate: PositiveFloat = 3e-4
+    n_steps: Annotated[int, Field(ge=2)] = 128
+    """Steps per environment in one rollout."""
+    batch_size: Annotated[int, Field(ge=2)] = 128
+    n_epochs: PositiveInt = 10
+    gamma: Probability = 0.95
+    gae_lambda: Probability = 0.95
+    clip_range: PositiveFloat = 0.2
+    ent_coef: NonNegativeFloat = 0.01
+    vf_coef: NonNegativeFloat = 0.5
+    max_grad_norm: PositiveFloat = 0.5
+    net_arch: tuple[PositiveInt, ...] = (128, 128)
+    """Hidden widths of the policy and of the value network after the features extractor."""
+
+
+class SACConfig(_Model):
+    """Stable-Baselines3 SAC."""
+
+    learning_rate: PositiveFloat = 3e-4
+    buffer_size: PositiveInt = 100_000
+    learning_starts: NonNegativeInt = 500
+    batch_size: Annotated[int, Field(ge=2)] = 256
+    gamma: Probability = 0.98
+    tau: Probability = 0.005
+    train_freq: PositiveInt = 1
+    gradient_steps: Annotated[int, Field(ge=-1)] = 1
+    net_arch: tuple[PositiveInt, ...] = (128, 128)
+    """Hidden widths of the actor and of the critics after the features extractor."""
+
+
+class EvaluationConfig(_Model):
+    """Evaluation during training and at its end, on fixed seeds that training never sees."""
+
+    every: PositiveInt | None = None
+    """Training steps between two evaluations; default: a fifth of the run."""
+    episodes: PositiveInt = 10
+    seed: NonNegativeInt = 1_000_000
+    """Seed of the first episode; the others follow."""
+
+
+class TrainConfig(_Model):
+    """One training run."""
+
+    env: str = "highway-v0"
+    """highway-env id (highway-v0), or the name of a scenario (highway-dense)."""
+    repr: str = "esc"
+    """Representation: esc, fp, ap, mean, max, attention, or module:Class."""
+    algo: Literal["ppo", "sac"] = "ppo"
+    """sac drives with throttle and steering (`continuous`); ppo as the scenario says."""
+    steps: PositiveInt = 100_000
+    """Training steps over all environments."""
+    seed: NonNegativeInt = 0
+    n_envs: PositiveInt = 4
+    """Environments that training steps at once."""
+    vec: Literal["auto", "dummy", "subproc"] = "auto"
+    """One process for all environments, or one each; auto: one each where there are cores."""
+    device: str = "auto"
+    """torch device: auto, cpu, cuda, cuda:1."""
+    run_dir: Path | None = None
+    """New directory for the run; default: runs/<env>-<repr>-<algo>-<seed>-<time>."""
+    checkpoint_every: PositiveInt = 50_000
+    """Training steps between two checkpoints."""
+    env_config: Mapping = {}
+    """highway-env configuration, merged into the id's own."""
+    continuous: ContinuousConfig | None = None
+    observation: ObservationConfig = ObservationConfig()
+    encoder: EncoderConfig = EncoderConfig()
+    ppo: PPOConfig = PPOConfig()
+    sac: SACConfig = SACConfig()
+    evaluation: EvaluationConfig = EvaluationConfig()
+
+    @property
+    def hyperparameters(self) -> PPOConfig | SACConfig:
+        return self.sac if self.algo == "sac" else self.ppo
+
+
+def configs_folder() -> Path:
+    """Where the shipped YAML lies: inside the wheel, else at the root of the repository."""
+    packaged = Path(str(files("esc_agents"))) / "configs"
+    return packaged if packaged.is_dir() else Path(__file__).parents[2] / "configs"
+
+
+def scenarios() -> dict[str, Path]:
+    """The shipped training scenarios by name."""
+    return {path.stem: path for path in sorted((configs_folder() / "train").glob("*.yaml"))}
+
+
+def load_config(name: str | Path) -> TrainConfig:
+    """A training configuration: an existing YAML file, or a shipped scenario's name."""
+    path = Path(name)
+    if not path.is_file():
+        shipped = scenarios()
+        if str(name) not in shipped:
+            raise UserError(
+                f"config: no file {str(name)!r} and no such scenario{_nearest(str(name), shipped)}"
+            )
+        path = shipped[str(name)]
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise UserError(f"config {path}: not readable as YAML: {error}") from error
+    if not isinstance(values, dict):
+        raise UserError(f"config {path}: expected keys and values, got {type(values).__name__}")
+    try:
+        return TrainConfig(**values)
+    except ValidationError as error:
+        raise UserError(f"config {path}: {explain(error)}") from error
+
+
+def config_for_env(env: str) -> TrainConfig:
+    """The defaults for ``--env``: a scenario, or an id with the scenario of its name if shipped."""
+    env = env.removeprefix(f"{NAMESPACE}/")
+    shipped = scenarios()
+    if env in shipped:
+        return load_config(env)
+    check_env_id(env)
+    family = env.rpartition("-v")[0]
+    base = load_config(family) if family in shipped else TrainConfig()
+    return base.model_copy(update={"env": env})
+
+
+def check_env_id(env: str) -> None:
+    """Raises UserError unless ``env`` is a single-agent highway-env id."""
+    if env in MULTI_AGENT_IDS:
+        raise UserError(
+            f"env {env!r} is multi-agent; expected one of the {len(ENV_IDS)} single-agent ids, "
+            "for example intersection-v0"
+        )
+    if f"{NAMESPACE}/{env}" not in ENV_IDS:
+        known = [*scenarios(), *(id.removeprefix(f"{NAMESPACE}/") for id in ENV_IDS)]
+        raise UserError(f"env: unknown environment or scenario {env!r}{_nearest(env, known)}")
+
+
+def explain(error: ValidationError) -> str:
+    """The first problem of a validation on one line: key, what was expected, what came."""
+    first = error.errors()[0]
+    keys = [str(part) for part in first["loc"]]
+    if first["type"] == "extra_forbidden":
+        model: Any = TrainConfig
+        for key in keys[:-1]:
+            model = _submodel(model, key)
+        return f"unknown key {'.'.join(keys)!r}{_nearest(keys[-1], model.model_fields)}"
+    return f"{'.'.join(keys)}: {first['msg']}, got {first['input']!r}"
+
+
+def _submodel(model: type[BaseModel], key: str) -> type[BaseModel]:
+    annotation = model.model_fields[key].annotation
+    for candidate in (annotation, *getattr(annotation, "__args__", ())):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return model
+
+
+def _nearest(name: str, known: Any) -> str:
+    near = get_close_matches(name, list(known), n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; expected one of {', '.join(known)}"
+
+
+def dump(config: TrainConfig) -> str:
+    """YAML that ``load_config`` reads back to an equal configuration."""
+    values = config.model_dump(mode="json", exclude={"run_dir"})
+    return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)

@@ -1,0 +1,207 @@
+"""Environments of a run: the set observation, the task's extra reward, driving statistics.
+
+Worker processes import this module: no torch here.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from math import cos
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.envs.registration import load_env_creator
+
+from esc_agents.config import TrainConfig
+from esc_agents.errors import UserError
+from esc_agents.ttc import time_to_collision
+from esc_gym.registration import NAMESPACE, merge_config
+from esc_gym.scenarios import scenario_of_class
+
+REFERENCE_SPEED = 30.0  # m/s; ``progress_reward`` is paid for this much along the lane
+
+
+class Progress(gym.Wrapper):
+    """Pays for way made along the lane; optionally ends the episode off the road.
+
+    Continuous highway tasks otherwise pay for spinning on the spot at full throttle.
+    """
+
+    def __init__(self, env: gym.Env, reward: float, offroad_terminal: bool) -> None:
+        super().__init__(env)
+        self.reward, self.offroad_terminal = reward, offroad_terminal
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        base: Any = self.unwrapped
+        vehicle = base.vehicle
+        longitudinal, _ = vehicle.lane.local_coordinates(vehicle.position)
+        angle = vehicle.heading - vehicle.lane.heading_at(longitudinal)
+        reward += self.reward * vehicle.speed * cos(angle) / REFERENCE_SPEED
+        if self.offroad_terminal and not vehicle.on_road:
+            terminated = True
+        return observation, float(reward), terminated, truncated, info
+
+
+class DrivingMonitor(gym.Wrapper):
+    """``info["episode"]`` at the end of each episode, as SB3's Monitor gives it, and more.
+
+    r return, l length [policy steps], t seconds since start; crashed (0 or 1), speed (mean, m/s),
+    lane_changes (count), vehicles (mean M), min_ttc (s; inf where nothing was ever on a collision
+    course; computed with ``ttc=True`` only), seed (of the reset, None if there was none).
+    """
+
+    def __init__(self, env: gym.Env, ttc: bool = False) -> None:
+        super().__init__(env)
+        self.ttc = ttc
+        self._start = time.time()
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._seed, self._rewards, self._speeds, self._counts = seed, [], [], []
+        self._lane_changes, self._min_ttc = 0, float("inf")
+        base: Any = self.unwrapped
+        self._lane = base.vehicle.lane_index
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        base: Any = self.unwrapped
+        vehicle, lane = base.vehicle, base.vehicle.lane_index
+        self._rewards.append(float(reward))
+        self._speeds.append(float(vehicle.speed))
+        self._counts.append(info["set"]["count"])
+        # Lane numbers of different roads are unrelated: only a change within one road counts.
+        self._lane_changes += lane[:2] == self._lane[:2] and lane[2] != self._lane[2]
+        self._lane = lane
+        if self.ttc:
+            self._min_ttc = min(self._min_ttc, time_to_collision(base))
+        if terminated or truncated:
+            info["episode"] = self._summary(vehicle.crashed)
+        return observation, float(reward), terminated, truncated, info
+
+    def _summary(self, crashed: bool) -> dict[str, Any]:
+        return {
+            "r": sum(self._rewards),
+            "l": len(self._rewards),
+            "t": time.time() - self._start,
+            "crashed": int(crashed),
+            "speed": float(np.mean(self._speeds)),
+            "lane_changes": int(self._lane_changes),
+            "vehicles": float(np.mean(self._counts)),
+            "min_ttc": self._min_ttc,
+            "seed": self._seed,
+        }
+
+
+class SeededEpisodes(gym.Wrapper):
+    """Plays given seeds, one episode each, then rests: steps are no longer simulated."""
+
+    def __init__(self, env: gym.Env) -> None:
+        super().__init__(env)
+        self._seeds: list[int] = []
+        self._last: Any = None
+
+    def set_seeds(self, seeds: Sequence[int]) -> None:
+        """The episodes to play, starting with the next reset."""
+        self._seeds = list(seeds)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
+        self.resting = not self._seeds
+        if self.resting and self._last is not None:
+            return self._last, {}
+        seed = self._seeds.pop(0) if self._seeds else seed
+        self._last, info = self.env.reset(seed=seed, options=options)
+        return self._last, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        if self.resting:
+            return self._last, 0.0, False, False, {}
+        return self.env.step(action)
+
+
+def env_config(config: TrainConfig) -> dict[str, Any]:
+    """The highway-env configuration of a run: the scenario's, changed by ``continuous`` for SAC."""
+    _, default = _class_and_default(config)
+    merged = dict(config.env_config)
+    if config.algo == "sac" and config.continuous:
+        for key, value in config.continuous.env_config.items():
+            known = {key: merged.get(key, default.get(key))}
+            merged.update(merge_config(known, {key: value}))
+    return merged
+
+
+def _class_and_default(config: TrainConfig) -> tuple[type, dict[str, Any]]:
+    entry_point = gym.registry[config.env].entry_point
+    env_class: Any = load_env_creator(entry_point)  # type: ignore[arg-type]
+    return env_class, env_class.default_config()
+
+
+def check_actions(config: TrainConfig) -> None:
+    """Raises UserError where algorithm and action space cannot meet, with the reason."""
+    env_class, default = _class_and_default(config)
+    action = merge_config(default, env_config(config))["action"]["type"]
+    reason = scenario_of_class(env_class).discrete_only
+    wanted = "continuous actions" if config.algo == "ppo" else "--algo sac"
+    if reason and (action == "ContinuousAction" or config.algo == "sac"):
+        raise UserError(
+            f"{wanted} on {config.env}: highway-env cannot do continuous actions here, since "
+            f"{reason}; use --algo ppo with meta-actions"
+        )
+    if config.algo == "sac" and action != "ContinuousAction":
+        raise UserError(
+            f"--algo sac needs continuous actions, got {action} on {config.env}; give the scenario "
+            "a `continuous` section, or pass --env-config '{action: {type: ContinuousAction}}'"
+        )
+
+
+def make_env(
+    config: TrainConfig,
+    *,
+    shuffle: bool = False,
+    render_mode: str | None = None,
+    evaluation: bool = False,
+) -> gym.Env:
+    """One environment of a run.
+
+    shuffle: permute the rows of every observation. evaluation: also measure times to collision.
+    """
+    observation = config.observation.model_dump()
+    if shuffle:
+        observation["order"] = "shuffled"
+    elif observation["order"] is None:
+        observation["order"] = "shuffled" if config.repr == "ap" else "road"
+    env = gym.make(
+        f"{NAMESPACE}/{config.env}",
+        config=env_config(config),
+        render_mode=render_mode,
+        disable_env_checker=True,
+        **observation,
+    )
+    task = config.continuous if config.algo == "sac" else None
+    if task and (task.progress_reward or task.offroad_terminal):
+        env = Progress(env, task.progress_reward, task.offroad_terminal)
+    env = DrivingMonitor(env, ttc=evaluation)
+    return SeededEpisodes(env) if evaluation else env
+
+
+class EnvFactory:
+    """Picklable ``make_env`` for SB3's vectorised environments."""
+
+    def __init__(self, config: TrainConfig, **options: Any) -> None:
+        self.config, self.options, self.parent = config, options, os.getpid()
+
+    def __call__(self) -> gym.Env:
+        if os.getpid() != self.parent:
+            # Ctrl-C reaches the whole process group; the parent decides when workers end.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        return make_env(self.config, **self.options)
+
+
+def factories(config: TrainConfig, count: int, **options: Any) -> list[Callable[[], gym.Env]]:
+    """``count`` factories of the run's environment."""
+    return [EnvFactory(config, **options) for _ in range(count)]

@@ -1,0 +1,37 @@
+"""Results for people: the table that a run and an evaluation end with."""
+
+from __future__ import annotations
+
+from math import isinf
+
+from rich.console import Console
+from rich.table import Table
+
+from esc_agents.evaluate import Summary
+
+
+def results_table(title: str, results: dict[str, Summary]) -> Table:
+    """One row per policy; brackets hold 95 % intervals."""
+    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold")
+    table.add_column("policy", no_wrap=True)
+    for column in ("return", "collisions", "speed m/s", "steps", "lane changes", "min TTC s"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for name, s in results.items():
+        table.add_row(
+            name,
+            f"{s.reward:.2f} [{s.reward_low:.2f}, {s.reward_high:.2f}]",
+            f"{s.collision_rate:.0%} [{s.collision_low:.0%}, {s.collision_high:.0%}]",
+            f"{s.speed:.1f}",
+            f"{s.length:.1f}",
+            f"{s.lane_changes:.1f}",
+            "none" if isinf(s.min_ttc) else f"{s.min_ttc:.1f}",
+        )
+    return table
+
+
+def show(table: Table) -> None:
+    """Print to standard output, never narrower than the table needs."""
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=140)
+    console.print(table)

@@ -1,0 +1,135 @@
+"""The directory of a run: what it holds, written so that at any instant every file is whole."""
+
+from __future__ import annotations
+
+import csv
+import importlib.metadata
+import io
+import json
+import os
+import platform
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from esc_agents.config import TrainConfig, dump, load_config
+from esc_agents.errors import UserError
+
+STEP = "time/total_timesteps"
+PACKAGES = ("esc-gym", "highway-env", "gymnasium", "stable-baselines3", "torch", "numpy")
+
+
+def write_atomically(path: Path, write: Callable[[Any], object]) -> None:
+    """Let ``write`` fill a temporary file beside ``path``, then put it in place."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a whole text file atomically."""
+    write_atomically(path, lambda file: file.write(text.encode()))
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a JSON file atomically."""
+    write_text(path, json.dumps(value, indent=2, allow_nan=True) + "\n")
+
+
+def default_run_dir(config: TrainConfig) -> Path:
+    """runs/<env>-<repr>-<algo>-<seed>-<time>"""
+    representation = config.repr.replace(":", ".")
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    return Path("runs") / f"{config.env}-{representation}-{config.algo}-{config.seed}-{stamp}"
+
+
+def create(path: Path, config: TrainConfig, wrapper: dict[str, Any]) -> Path:
+    """A new run directory with config.yaml, command.txt, versions.json and wrapper.json."""
+    try:
+        path.mkdir(parents=True)
+    except FileExistsError as error:
+        raise UserError(
+            f"run directory {path} already exists; continue that run with esc-train --resume "
+            f"{path}, or give another --run-dir"
+        ) from error
+    except OSError as error:
+        raise UserError(f"run directory {path}: {error.strerror}") from error
+    (path / "checkpoints").mkdir()
+    write_text(path / "config.yaml", f"# esc-train --config {path}/config.yaml\n{dump(config)}")
+    write_text(path / "command.txt", shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) + "\n")
+    write_json(path / "versions.json", versions())
+    write_json(path / "wrapper.json", wrapper)
+    return path
+
+
+def open_run(path: Path) -> TrainConfig:
+    """The configuration of an existing run."""
+    if not (path / "config.yaml").is_file():
+        raise UserError(f"{path} is no run directory: expected a config.yaml in it")
+    return load_config(path / "config.yaml")
+
+
+def latest_model(path: Path) -> Path:
+    """The newest saved model of a run: the one it ended with, or its last checkpoint."""
+    found = [*(path / "checkpoints").glob("*.zip"), *path.glob("model.zip")]
+    if not found:
+        raise UserError(f"{path} holds no model yet: expected model.zip or checkpoints/*.zip")
+    return max(found, key=lambda file: file.stat().st_mtime)
+
+
+def versions() -> dict[str, str]:
+    """Python, platform, packages and, in a checkout, the commit."""
+    found = {"python": platform.python_version(), "platform": platform.platform()}
+    for package in PACKAGES:
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    commit = subprocess.run(
+        ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    return found | ({"commit": commit.stdout.strip()} if commit.returncode == 0 else {})
+
+
+class MetricsFile:
+    """metrics.csv: one row per log; goes on where an earlier session of the run stopped."""
+
+    def __init__(self, path: Path, first_step: int = 0) -> None:
+        """Rows of ``first_step`` and later, logged after the model was saved, are dropped."""
+        self.path = path
+        self.rows: list[dict[str, Any]] = []
+        if path.is_file():
+            with path.open(newline="", encoding="utf-8") as file:
+                rows = [r for r in csv.DictReader(file) if (r.get(STEP) or "").isdigit()]
+            self.rows = [row for row in rows if int(row[STEP]) <= first_step]
+            self._rewrite()
+
+    def write(self, row: dict[str, Any]) -> None:
+        """Append a row; a new column rewrites the file."""
+        known = self.rows[0].keys() if self.rows else ()
+        self.rows.append({**dict.fromkeys(known, ""), **row})
+        if len(self.rows[-1]) > len(known):
+            self._rewrite()
+        else:
+            with self.path.open("a", newline="", encoding="utf-8") as file:
+                csv.DictWriter(file, list(known)).writerow(self.rows[-1])
+
+    def _rewrite(self) -> None:
+        columns = dict.fromkeys(key for row in self.rows for key in row)
+        self.rows = [{**dict.fromkeys(columns, ""), **row} for row in self.rows]
+        text = io.StringIO()
+        table = csv.DictWriter(text, list(columns))
+        table.writeheader()
+        table.writerows(self.rows)
+        write_text(self.path, text.getvalue())

@@ -1,0 +1,64 @@
+"""Films of drives, as GIF: nothing but Pillow is needed to make or to show them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from esc_agents.config import TrainConfig
+from esc_agents.envs import make_env
+from esc_agents.errors import UserError
+from esc_agents.evaluate import Policy
+from esc_agents.run import write_atomically
+
+MAX_FPS = 15
+
+
+class _Camera:
+    """Stands in for Gymnasium's RecordVideo, which highway-env calls at every simulated frame."""
+
+    def __init__(self, env: Any) -> None:
+        self.env, self.frames, self.frames_per_sec = env, [], 0.0
+        env.unwrapped.set_record_video_wrapper(self)
+
+    def _capture_frame(self) -> None:
+        frame = self.env.unwrapped.viewer
+        frame.display()
+        self.frames.append(Image.fromarray(np.asarray(frame.get_image())))
+
+    def shoot(self) -> None:
+        self.frames.append(Image.fromarray(np.asarray(self.env.render())))
+
+
+def film(config: TrainConfig, policy: Policy, seed: int, folder: Path, shuffle: bool) -> Path:
+    """Drive one episode in front of the camera; the GIF plays in real time."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"video: folder {folder}: {error.strerror}") from error
+    env: Any = make_env(config, shuffle=shuffle, render_mode="rgb_array")
+    observation, _ = env.reset(seed=seed)
+    camera = _Camera(env)
+    ended = False
+    camera.shoot()
+    while not ended:
+        batch = {name: value[None] for name, value in observation.items()}
+        observation, _, terminated, truncated, _ = env.step(policy(batch)[0])
+        camera.shoot()
+        ended = terminated or truncated
+    rate = env.unwrapped.config["simulation_frequency"]
+    env.close()
+    every = max(1, round(rate / MAX_FPS))
+    frames = camera.frames[::every] + [camera.frames[-1]] * 5  # rest on the end
+    path = folder / f"seed-{seed}.gif"
+    write_atomically(
+        path,
+        lambda file: frames[0].save(
+            file, format="GIF", save_all=True, append_images=frames[1:], loop=0,
+            duration=round(1000 * every / rate),
+        ),
+    )  # fmt: skip
+    return path

@@ -1,0 +1,344 @@
+"""Encoders of a traffic set as plain torch modules: ``{ego, vehicles, mask}`` -> features.
+
+Shapes: B = batch, N = rows of the padded set, M = real rows of one set, d1 = vehicle features,
+d2 = ego features, d3 = ``code_dim``. Rows with mask 0 are padding: whatever they hold, even NaN,
+reaches neither outputs nor gradients. M = 0 is legal everywhere.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import warnings
+from collections.abc import Sequence
+from importlib import import_module
+from numbers import Integral
+from operator import lt
+from typing import Any, Literal, get_args
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+Sort = Literal["distance", "lexicographic"]
+DEFAULT_HIDDEN = (128, 128)
+
+
+class SetEncoder(nn.Module):
+    """Base: features = concat(set code [B, d3], ego [B, d2]). Subclasses write ``encode``.
+
+    vehicle_dim, ego_dim, max_vehicles: d1, d2 and N.
+    hidden: widths of the hidden layers, at least one.
+    code_dim: d3, by default N*d1 + 1, the rule of the paper's Theorem 1.
+    """
+
+    permutation_invariant: bool = True
+    any_size: bool = True  # whether forward takes any N, the weights not depending on it
+
+    def __init__(
+        self,
+        *,
+        vehicle_dim: int,
+        ego_dim: int,
+        max_vehicles: int,
+        hidden: Sequence[int] = DEFAULT_HIDDEN,
+        code_dim: int | None = None,
+    ) -> None:
+        super().__init__()
+        self.hidden = tuple(hidden)
+        if not self.hidden:
+            raise ValueError("hidden: expected at least one width, got none")
+        widths = {f"hidden[{i}]": width for i, width in enumerate(self.hidden)}
+        _check_positive(
+            vehicle_dim=vehicle_dim, ego_dim=ego_dim, max_vehicles=max_vehicles, **widths
+        )
+        self.vehicle_dim, self.ego_dim, self.max_vehicles = vehicle_dim, ego_dim, max_vehicles
+        self.required_code_dim = max_vehicles * vehicle_dim + 1
+        self.code_dim = self.required_code_dim if code_dim is None else code_dim
+        _check_positive(code_dim=self.code_dim)
+        self.features_dim = self.code_dim + ego_dim
+
+    def forward(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
+        """vehicles [B, N, d1], mask [B, N] (nonzero = real), ego [B, d2] -> [B, d3 + d2]."""
+        self._check(vehicles, mask, ego)
+        return torch.cat([self.encode(vehicles, mask != 0, ego), ego], dim=1)
+
+    def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
+        """The set code [B, d3]; mask is bool. Padding may hold anything."""
+        raise NotImplementedError(f"{type(self).__name__} has to define encode()")
+
+    def _check(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> None:
+        batch, rows = tuple(mask.shape) if mask.dim() == 2 else ("B", "N")
+        expected = {
+            "vehicles": (vehicles, (batch, rows, self.vehicle_dim)),
+            "mask": (mask, (batch, rows)),
+            "ego": (ego, (batch, self.ego_dim)),
+        }
+        for name, (tensor, shape) in expected.items():
+            if tuple(tensor.shape) != shape:
+                text = str(shape).replace("'", "")
+                raise ValueError(f"{name}: expected shape {text}, got {tuple(tensor.shape)}")
+        dtype = next(self.parameters(), vehicles).dtype
+        for name, tensor in (("vehicles", vehicles), ("ego", ego)):
+            if tensor.dtype != dtype:
+                raise ValueError(
+                    f"{name}: expected dtype {dtype}, that of the weights, got {tensor.dtype}; "
+                    "convert the tensor or the encoder with .to(dtype)"
+                )
+
+
+def _check_positive(**values: Any) -> None:
+    for name, value in values.items():
+        if not isinstance(value, Integral) or isinstance(value, bool) or value < 1:
+            raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
+
+
+def _hidden_layers(inputs: int, hidden: Sequence[int]) -> nn.Sequential:
+    layers = nn.Sequential()
+    for width in hidden:
+        layers.extend([nn.Linear(inputs, width), nn.GELU()])
+        inputs = width
+    return layers
+
+
+def _pack(vehicles: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """All real rows of a batch [sum M, d1], and the set that each belongs to [sum M].
+
+    Padding is left out before it is computed: cheaper, and nothing in it can leak.
+    """
+    owner, row = mask.nonzero(as_tuple=True)
+    return vehicles[owner, row], owner
+
+
+def _segment_sum(values: Tensor, owner: Tensor, size: int) -> Tensor:
+    """values [sum M, ...] summed by owner -> [size, ...]; sets without rows get 0."""
+    # As fast in forward + backward as segment_reduce, CSR and embedding_bag, and the simplest.
+    return values.new_zeros(size, *values.shape[1:]).index_add_(0, owner, values)
+
+
+def _segment_max(values: Tensor, owner: Tensor, size: int) -> Tensor:
+    """values [sum M, k], largest by owner -> [size, k]; sets without rows get 0."""
+    index = owner[:, None].expand_as(values)
+    zeros = values.new_zeros(size, values.shape[1])
+    return zeros.scatter_reduce(0, index, values, "amax", include_self=False)
+
+
+class _PooledEncoder(SetEncoder):
+    """A feature network h, applied to each vehicle: hidden layers with GELU, linear output."""
+
+    def __init__(self, **dims: Any) -> None:
+        super().__init__(**dims)
+        self.layers = _hidden_layers(self.vehicle_dim, self.hidden)
+        self.output = nn.Linear(self.hidden[-1], self.code_dim)
+
+    def _sum(self, vehicles: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """sum_i mask_i h(x_i) [B, d3], and M as floats [B, 1]."""
+        rows, owner = _pack(vehicles, mask)
+        activations = _segment_sum(self.layers(rows), owner, len(mask))
+        count = mask.sum(dim=1, keepdim=True).to(vehicles.dtype)
+        # The linear output layer commutes with the sum: sum_i (W a_i + b) = W sum_i a_i + M b.
+        return functional.linear(activations, self.output.weight) + count * self.output.bias, count
+
+
+class ESCEncoder(_PooledEncoder):
+    """Encoding sum and concatenation, the paper's equation for U_ESC: scale * sum_i h(x_i).
+
+    scale: multiplies the code. Injectivity doesn't depend on it; 1/10, say, keeps the inputs of the
+    policy moderate where M is large.
+    """
+
+    def __init__(self, *, scale: float = 1.0, **dims: Any) -> None:
+        super().__init__(**dims)
+        if not math.isfinite(scale) or scale == 0:
+            raise ValueError(f"scale: expected a finite number other than 0, got {scale!r}")
+        self.scale = scale
+        if self.code_dim < self.required_code_dim:
+            warnings.warn(
+                f"code_dim={self.code_dim} is less than N*d1 + 1 = {self.required_code_dim}, from "
+                "which on Theorem 1 says that different sets can have different codes",
+                stacklevel=2,
+            )
+
+    def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
+        return self.scale * self._sum(vehicles, mask)[0]
+
+
+class MeanEncoder(_PooledEncoder):
+    """Mean of h over the vehicles, 0 for none. It can't tell a set from the same set twice."""
+
+    def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
+        total, count = self._sum(vehicles, mask)
+        return total / count.clamp(min=1)
+
+
+class MaxEncoder(_PooledEncoder):
+    """Element-wise maximum of h over the vehicles, 0 for none."""
+
+    def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
+        rows, owner = _pack(vehicles, mask)
+        return _segment_max(self.output(self.layers(rows)), owner, len(mask))
+
+
+class AttentionEncoder(SetEncoder):
+    """Ego attention: the ego asks, the vehicles answer; 0 for none. Blind to duplicates of a set.
+
+    heads: attention heads, each of width ceil(hidden[-1] / heads).
+    """
+
+    def __init__(self, *, heads: int = 2, **dims: Any) -> None:
+        super().__init__(**dims)
+        _check_positive(heads=heads)
+        self.heads, self.width = heads, -(-self.hidden[-1] // heads)
+        total = heads * self.width
+        self.layers = _hidden_layers(self.vehicle_dim, self.hidden)
+        self.key_value = nn.Linear(self.hidden[-1], 2 * total)
+        self.query = nn.Linear(self.ego_dim, total)
+        self.output = nn.Linear(total, self.code_dim)
+
+    def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
+        rows, owner = _pack(vehicles, mask)
+        answers = self.key_value(self.layers(rows)).view(-1, 2, self.heads, self.width)
+        key, value = answers.unbind(dim=1)  # [sum M, heads, width] each
+        query = self.query(ego).view(-1, self.heads, self.width)
+        score = (query[owner] * key).sum(dim=2) / math.sqrt(self.width)
+        # Softmax within each set; subtracting its largest score changes no weight, only overflow.
+        weight = (score - _segment_max(score.detach(), owner, len(mask))[owner]).exp()
+        weight = weight / _segment_sum(weight, owner, len(mask))[owner]
+        answer = _segment_sum(weight[:, :, None] * value, owner, len(mask))
+        return self.output(answer.flatten(1)) * mask.any(dim=1, keepdim=True)
+
+
+class APEncoder(SetEncoder):
+    """All permutations: the rows in the order given, concatenated, through one network.
+
+    The paper trains it on every order: give it observations with ``order="shuffled"``.
+
+    slots: Z, rows that the network takes: the first Z real ones, the rest filled with a virtual
+        vehicle straight ahead at the perception distance. By default N, and then another N is
+        refused; with Z given any N will do.
+    position: columns of x and y. low, high: bounds of each column in the observation space (by
+        default -high and 1); in x and y they are the perception distance, in scaled units.
+    """
+
+    permutation_invariant = False
+    center: Tensor  # [2], position of the ego, scaled
+    reach: Tensor  # [2], perception distance, scaled
+    virtual: Tensor  # [d1]
+
+    def __init__(
+        self,
+        *,
+        slots: int | None = None,
+        position: tuple[int, int] = (0, 1),
+        low: Sequence[float] | None = None,
+        high: Sequence[float] | None = None,
+        **dims: Any,
+    ) -> None:
+        super().__init__(**dims)
+        self.any_size = slots is not None
+        self.slots = self.max_vehicles if slots is None else slots
+        _check_positive(slots=self.slots)
+        self.position = list(position)
+        columns = range(self.vehicle_dim)
+        if len(self.position) != 2 or not set(self.position) <= set(columns):
+            raise ValueError(f"position: expected two of {len(columns)} columns, got {position}")
+        upper = [1.0] * len(columns) if high is None else [float(value) for value in high]
+        lower = [-value for value in upper] if low is None else [float(value) for value in low]
+        if not len(lower) == len(upper) == len(columns) or not all(map(lt, lower, upper)):
+            raise ValueError(
+                f"low, high: expected low < high in {len(columns)} columns, got {lower}, {upper}"
+            )
+        center = torch.tensor([(lower[column] + upper[column]) / 2 for column in position])
+        ahead = torch.tensor([upper[column] for column in position])
+        virtual = torch.zeros(len(columns))
+        virtual[self.position] = torch.stack([ahead[0], center[1]])
+        # Not persistent: they follow from the arguments; a state dict holds what is learned.
+        self.register_buffer("center", center, persistent=False)
+        self.register_buffer("reach", ahead - center, persistent=False)
+        self.register_buffer("virtual", virtual, persistent=False)
+        self.layers = _hidden_layers(self.slots * self.vehicle_dim, self.hidden)
+        self.output = nn.Linear(self.hidden[-1], self.code_dim)
+
+    def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
+        rows = mask.shape[1]
+        if rows != self.max_vehicles and not self.any_size:
+            raise ValueError(
+                f"{type(self).__name__}: expected {self.max_vehicles} rows, as built, got {rows}; "
+                "pass slots=Z to take Z rows of any number, or use a pooling encoder such as esc"
+            )
+        table = self.arrange(vehicles, mask)[:, : self.slots]
+        table = functional.pad(table, (0, 0, 0, self.slots - table.shape[1]))
+        table = torch.where(_leading(mask, self.slots)[:, :, None], table, self.virtual)
+        return self.output(self.layers(table.flatten(1)))
+
+    def arrange(self, vehicles: Tensor, mask: Tensor) -> Tensor:
+        """The real rows in the order in which they take the slots, then padding: [B, k, d1]."""
+        return _sorted_by(torch.zeros_like(vehicles[:, :, 0]), vehicles, mask)
+
+
+class FPEncoder(APEncoder):
+    """Fixed permutation: the Z nearest rows in a declared order, concatenated, as in ``APEncoder``.
+
+    sort: "distance" to the ego in metres, whatever the scale of the columns, or "lexicographic",
+        by the first column, then the second, and so on, as in the paper.
+
+    The order given doesn't matter, unless distances tie exactly (then it decides). The code jumps
+    where two vehicles change places in the order: the discontinuity that the paper criticises.
+    """
+
+    permutation_invariant = True
+
+    def __init__(self, *, sort: Sort = "distance", **settings: Any) -> None:
+        super().__init__(**settings)
+        if sort not in get_args(Sort):
+            raise ValueError(f"sort: expected one of {', '.join(get_args(Sort))}, got {sort!r}")
+        self.sort = sort
+
+    def arrange(self, vehicles: Tensor, mask: Tensor) -> Tensor:
+        offset = (vehicles[:, :, self.position] - self.center) / self.reach
+        rows = _sorted_by(offset.square().sum(dim=2), vehicles, mask)[:, : self.slots]
+        if self.sort == "lexicographic":
+            real = _leading(mask, rows.shape[1])
+            for column in reversed(range(self.vehicle_dim)):
+                rows = _sorted_by(rows[:, :, column], rows, real)
+        return rows
+
+
+def _leading(mask: Tensor, size: int) -> Tensor:
+    """[B, size], true in the first M places of each set."""
+    return torch.arange(size, device=mask.device) < mask.sum(dim=1, keepdim=True)
+
+
+def _sorted_by(key: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
+    """rows [B, N, d1] by increasing key [B, N], padding last; stable, so ties keep their order."""
+    order = key.masked_fill(~mask, math.inf).argsort(dim=1, stable=True)
+    return rows.gather(1, order[:, :, None].expand_as(rows))
+
+
+REPRESENTATIONS: dict[str, type[SetEncoder]] = {
+    "esc": ESCEncoder,
+    "fp": FPEncoder,
+    "ap": APEncoder,
+    "mean": MeanEncoder,
+    "max": MaxEncoder,
+    "attention": AttentionEncoder,
+}
+
+
+def representation(name: str) -> type[SetEncoder]:
+    """The encoder class of a name in ``REPRESENTATIONS``, or of a path "module:Class"."""
+    if name in REPRESENTATIONS:
+        return REPRESENTATIONS[name]
+    known = f"expected one of {', '.join(REPRESENTATIONS)}, or a path 'module:Class'"
+    module, colon, attribute = name.partition(":")
+    if not colon:
+        near = difflib.get_close_matches(name, REPRESENTATIONS, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"unknown representation {name!r}: {known}{hint}")
+    try:
+        encoder = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"representation {name!r}: {error}; {known}") from error
+    if not (isinstance(encoder, type) and issubclass(encoder, SetEncoder)):
+        raise ValueError(f"representation {name!r}: expected a subclass of SetEncoder")
+    return encoder

@@ -1,0 +1,479 @@
+"""Encoders against the formulas, derived again here with one loop over sets and one over rows."""
+
+import math
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+import torch
+from hypothesis import given, settings, strategies as st
+from torch import Tensor, nn
+
+from esc_gym.encoders import (
+    REPRESENTATIONS,
+    APEncoder,
+    AttentionEncoder,
+    ESCEncoder,
+    FPEncoder,
+    MaxEncoder,
+    MeanEncoder,
+    SetEncoder,
+    representation,
+)
+from esc_gym.matching import matched_hidden, parameter_count
+
+D1, D2, N = 3, 2, 6
+DIMS: dict[str, Any] = {"vehicle_dim": D1, "ego_dim": D2, "max_vehicles": N, "hidden": (16, 8)}
+NAMES = sorted(REPRESENTATIONS)
+POOLING = [name for name in NAMES if not issubclass(REPRESENTATIONS[name], APEncoder)]
+TOLERANCE: Any = {"rtol": 1e-5, "atol": 1e-5}
+scenes = st.tuples(st.integers(0, 2**31), st.lists(st.integers(0, N), min_size=1, max_size=5))
+
+
+def build(name: str, **kwargs) -> Any:
+    torch.manual_seed(0)
+    return REPRESENTATIONS[name](**{**DIMS, **kwargs})
+
+
+def scene(counts: list[int], seed: int = 0, rows: int = N) -> tuple[Tensor, Tensor, Tensor]:
+    """Random sets of the given sizes: vehicles [B, rows, D1] with zero padding, mask, ego."""
+    random = torch.Generator().manual_seed(seed)
+    mask = torch.arange(rows) < torch.tensor(counts, dtype=torch.long)[:, None]
+    vehicles = torch.rand(len(counts), rows, D1, generator=random) * 2 - 1
+    ego = torch.rand(len(counts), D2, generator=random)
+    return vehicles * mask[:, :, None], mask.to(torch.int8), ego
+
+
+def h(encoder: Any, row: Tensor) -> Tensor:
+    """The feature network on one row, from its weights alone."""
+    for layer in encoder.layers:
+        if isinstance(layer, nn.Linear):
+            row = row @ layer.weight.T + layer.bias
+        else:
+            row = 0.5 * row * (1 + torch.erf(row / math.sqrt(2)))
+    return row @ encoder.output.weight.T + encoder.output.bias
+
+
+def attend(encoder: Any, rows: list[Tensor], ego: Tensor) -> Tensor:
+    """Ego attention over the rows of one set, head by head."""
+    answers, width, total = [], encoder.width, encoder.heads * encoder.width
+    mixed = [encoder.key_value(encoder.layers(row)) for row in rows]
+    for head in range(encoder.heads):
+        own = slice(head * width, (head + 1) * width)
+        query = encoder.query(ego)[own]
+        scores = torch.stack([query @ row[:total][own] / math.sqrt(width) for row in mixed])
+        values = torch.stack([row[total:][own] for row in mixed])
+        answers.append(torch.softmax(scores, dim=0) @ values)
+    return encoder.output(torch.cat(answers))
+
+
+def naive(encoder: Any, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
+    """The definition of each pooling representation, one set at a time."""
+    codes = []
+    for b in range(len(mask)):
+        rows = [vehicles[b, i] for i in range(mask.shape[1]) if mask[b, i]]
+        if not rows:
+            codes.append(torch.zeros(encoder.code_dim))
+        elif isinstance(encoder, AttentionEncoder):
+            codes.append(attend(encoder, rows, ego[b]))
+        else:
+            each = torch.stack([h(encoder, row) for row in rows])
+            pool = {ESCEncoder: each.sum(0), MeanEncoder: each.mean(0), MaxEncoder: each.amax(0)}
+            codes.append(pool[type(encoder)])
+    return torch.cat([torch.stack(codes), ego], dim=1)
+
+
+def gradients(encoder: Any, output: Tensor) -> dict[str, Tensor]:
+    """Gradients of a loss in which every output counts differently; zero where unused."""
+    weights = torch.linspace(-1, 2, output.numel()).view_as(output)
+    names, parameters = zip(*encoder.named_parameters(), strict=True)
+    # Without vehicles the naive formula never touches the weights: its gradient is zero.
+    loss = (weights * output).sum() + 0 * sum(p.sum() for p in parameters)
+    found = torch.autograd.grad(loss, parameters, retain_graph=True)
+    return dict(zip(names, found, strict=True))
+
+
+@pytest.mark.parametrize("name", POOLING)
+@given(scenes)
+@settings(max_examples=25, deadline=None)
+def test_pooling_equals_naive_formula(name, drawn):
+    seed, counts = drawn
+    encoder, inputs = build(name), scene(counts, seed)
+    output, expected = encoder(*inputs), naive(encoder, *inputs)
+    torch.testing.assert_close(output, expected, **TOLERANCE)
+    torch.testing.assert_close(
+        gradients(encoder, output), gradients(encoder, expected), rtol=1e-4, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("name", POOLING)
+def test_rows_may_lie_anywhere_under_the_mask(name):
+    vehicles, _, ego = scene([N, N])
+    mask = torch.tensor([[0, 1, 0, 0, 1, 1], [1, 0, 1, 0, 0, 0]])
+    encoder = build(name)
+    torch.testing.assert_close(
+        encoder(vehicles, mask, ego), naive(encoder, vehicles, mask, ego), **TOLERANCE
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(scenes, st.permutations(range(N)))
+@settings(max_examples=25, deadline=None)
+def test_permuted_rows_leave_the_output_as_declared(name, drawn, order):
+    seed, counts = drawn
+    encoder, (vehicles, mask, ego) = build(name), scene(counts, seed)
+    output = encoder(vehicles, mask, ego)
+    permuted = encoder(vehicles[:, order], mask[:, order], ego)
+    real = [[i for i in order if mask[b, i]] for b in range(len(counts))]
+    for b, rows in enumerate(real):
+        same = torch.allclose(permuted[b], output[b], **TOLERANCE)
+        assert same == (encoder.permutation_invariant or rows == sorted(rows))
+
+
+@pytest.mark.parametrize("name", POOLING)
+@given(scenes)
+@settings(max_examples=25, deadline=None)
+def test_growing_the_padding_changes_nothing(name, drawn):
+    seed, counts = drawn
+    encoder, (vehicles, mask, ego) = build(name), scene(counts, seed)
+    wide = torch.zeros(len(counts), 4 * N, D1)
+    wide[:, :N] = vehicles
+    wide_mask = nn.functional.pad(mask, (0, 3 * N))
+    torch.testing.assert_close(
+        encoder(wide, wide_mask, ego), encoder(vehicles, mask, ego), **TOLERANCE
+    )
+
+
+@pytest.mark.parametrize("garbage", [7.0, 1e30, math.inf, math.nan])
+@pytest.mark.parametrize("name", NAMES)
+def test_padding_reaches_neither_outputs_nor_gradients(name, garbage):
+    encoder, (vehicles, mask, ego) = build(name), scene([0, 1, 3, N])
+    dirty = vehicles.masked_fill(mask[:, :, None] == 0, garbage)
+    clean, dirty = vehicles.requires_grad_(), dirty.requires_grad_()
+    expected, output = encoder(clean, mask, ego), encoder(dirty, mask, ego)
+    torch.testing.assert_close(output, expected, rtol=0, atol=0)
+    torch.testing.assert_close(gradients(encoder, output), gradients(encoder, expected))
+    expected.sum().backward()
+    output.sum().backward()
+    assert dirty.grad is not None
+    assert dirty.grad[mask == 0].eq(0).all()
+    assert dirty.grad[mask == 1].ne(0).any()
+    torch.testing.assert_close(dirty.grad, clean.grad)
+
+
+@pytest.mark.parametrize("counts", [[], [0], [0, 0, 0], [0, 2, 0]])
+@pytest.mark.parametrize("name", NAMES)
+def test_empty_sets(name, counts):
+    encoder, (vehicles, mask, ego) = build(name), scene(counts)
+    output = encoder(vehicles, mask, ego)
+    assert output.shape == (len(counts), N * D1 + 1 + D2)
+    torch.testing.assert_close(output[:, -D2:], ego, rtol=0, atol=0)
+    for b, count in enumerate(counts):
+        if count == 0 and name in POOLING:
+            assert output[b, :-D2].eq(0).all()
+    assert all(g.isfinite().all() for g in gradients(encoder, output).values())
+
+
+@pytest.mark.parametrize("dtype", [torch.bool, torch.int8, torch.int64, torch.float32])
+@pytest.mark.parametrize("name", NAMES)
+def test_masks_of_any_dtype(name, dtype):
+    encoder, (vehicles, mask, ego) = build(name), scene([2, 5])
+    torch.testing.assert_close(
+        encoder(vehicles, mask.to(dtype), ego), encoder(vehicles, mask, ego), rtol=0, atol=0
+    )
+
+
+def test_esc_counts_duplicates_twice_and_mean_does_not():
+    vehicles, _, ego = scene([1])
+    twice = vehicles[:, [0, 0, 1, 2, 3, 4]]
+    one, two = torch.tensor([[1, 0, 0, 0, 0, 0]]), torch.tensor([[1, 1, 0, 0, 0, 0]])
+    esc, mean = build("esc"), build("mean")
+    code = esc(vehicles, one, ego)[:, :-D2]
+    assert code.abs().max() > 0.01
+    torch.testing.assert_close(esc(twice, two, ego)[:, :-D2], 2 * code, **TOLERANCE)
+    torch.testing.assert_close(mean(twice, two, ego), mean(vehicles, one, ego), **TOLERANCE)
+
+
+def test_esc_scale_multiplies_the_code_only():
+    inputs = scene([0, 4])
+    plain, scaled = build("esc")(*inputs), build("esc", scale=0.1)(*inputs)
+    torch.testing.assert_close(scaled[:, :-D2], plain[:, :-D2] / 10)
+    torch.testing.assert_close(scaled[:, -D2:], plain[:, -D2:])
+
+
+def test_attention_depends_on_the_ego_and_survives_large_scores():
+    encoder, (vehicles, mask, ego) = build("attention"), scene([4, 6])
+    code, other = (encoder(vehicles, mask, e)[:, :-D2] for e in (ego, ego + 1))
+    assert not torch.allclose(code, other, **TOLERANCE)
+    assert encoder(vehicles, mask, ego * 1e6).isfinite().all()
+
+
+def test_d3_rule_warns_once_with_the_number_needed():
+    with pytest.warns(UserWarning, match=r"code_dim=18 .* 19") as caught:
+        build("esc", code_dim=N * D1)
+    assert [warning.filename for warning in caught] == [__file__]
+    build("esc", code_dim=N * D1 + 1)  # enough: warnings are errors here
+    build("mean", code_dim=2)  # the theorem is about sums
+
+
+# -- fp and ap ------------------------------------------------------------------------------------
+
+
+def table(encoder: Any, rows: list[list[float]]) -> Tensor:
+    """Code of one set, given as the list of rows that the network should see."""
+    return encoder.output(encoder.layers(torch.tensor(rows).flatten()))
+
+
+def code(encoder: Any, rows: list[list[float]], count: int) -> Tensor:
+    mask = (torch.arange(len(rows)) < count)[None]
+    return encoder(torch.tensor(rows)[None], mask, torch.zeros(1, D2))[0, :-D2]
+
+
+NEAR, MIDDLE, FAR = [-0.1, 0.2, 5.0], [0.0, -0.4, 1.0], [0.9, 0.0, 3.0]
+JUNK, VIRTUAL = [0.01, 0.01, 9.0], [1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "sort", "seen"),
+    [
+        ("ap", {}, [FAR, NEAR, MIDDLE]),
+        ("fp", {}, [NEAR, MIDDLE, FAR]),
+        ("fp", {"sort": "lexicographic"}, [NEAR, MIDDLE, FAR]),
+    ],
+)
+def test_rows_take_the_slots_in_the_declared_order(name, sort, seen):
+    encoder = build(name, max_vehicles=5, **sort)
+    given_rows = [FAR, NEAR, MIDDLE, JUNK, JUNK]
+    torch.testing.assert_close(
+        code(encoder, given_rows, 3), table(encoder, [*seen, VIRTUAL, VIRTUAL])
+    )
+
+
+def test_lexicographic_order_compares_later_columns_on_ties():
+    a, b, c, d = [0.2, -0.5, 1.0], [0.2, 0.1, -2.0], [0.2, 0.1, 0.0], [-0.9, 0.9, 0.9]
+    encoder = build("fp", max_vehicles=4, sort="lexicographic")
+    torch.testing.assert_close(code(encoder, [c, b, d, a], 4), table(encoder, [d, a, b, c]))
+
+
+def test_equal_distances_keep_the_order_given():
+    rows = [[0.5, 0.25 * (-1) ** i, float(i)] for i in range(40)]
+    encoder = build("fp", max_vehicles=len(rows))
+    for order in (rows, rows[::-1]):
+        torch.testing.assert_close(code(encoder, order, len(rows)), table(encoder, order))
+
+
+def test_distance_is_metric_whatever_the_scale_of_the_columns():
+    # 200 m are 1 in x and 10 in y: 60 m ahead is nearer than 80 m to the side, 0.3 < 4.0.
+    ahead, beside, behind = [0.3, 0.0, 1.0], [0.0, 4.0, 2.0], [-0.1, 0.0, 3.0]
+    metric = build("fp", max_vehicles=3, high=[1.0, 10.0, 1.0])
+    torch.testing.assert_close(
+        code(metric, [beside, ahead, behind], 3), table(metric, [behind, ahead, beside])
+    )
+    near_side = [0.0, 2.0, 2.0]  # 40 m to the side, nearer than 60 m ahead though 2.0 > 0.3
+    torch.testing.assert_close(
+        code(metric, [ahead, near_side, behind], 3), table(metric, [behind, near_side, ahead])
+    )
+
+
+def test_columns_scaled_off_center():
+    # x scaled by the range (0, 200): -1 is 0 m, 1 is 200 m, -3 is 200 m behind; virtual is at 1.
+    encoder = build("fp", max_vehicles=3, low=[-3.0, -1.0, -1.0], high=[1.0, 1.0, 1.0])
+    close, further = [-1.1, 0.0, 0.0], [0.0, 0.0, 0.0]  # 10 m behind, 100 m ahead
+    torch.testing.assert_close(
+        code(encoder, [further, close, JUNK], 2), table(encoder, [close, further, VIRTUAL])
+    )
+
+
+def test_position_columns_may_be_elsewhere():
+    encoder = build("fp", max_vehicles=2, position=(2, 0), high=[2.0, 1.0, 3.0])
+    close, further = [0.0, 1.0, 0.3], [0.0, 0.0, -0.9]
+    torch.testing.assert_close(code(encoder, [further, close], 2), table(encoder, [close, further]))
+    torch.testing.assert_close(
+        code(encoder, [close, further], 0), table(encoder, [[0.0, 0.0, 3.0]] * 2)
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "sort", "seen"),
+    [
+        ("ap", {}, [FAR, NEAR]),
+        ("fp", {}, [NEAR, MIDDLE]),
+        ("fp", {"sort": "lexicographic"}, [NEAR, MIDDLE]),
+    ],
+)
+def test_slots_keep_the_first_in_order_and_take_any_number_of_rows(name, sort, seen):
+    encoder = build(name, slots=2, **sort)
+    torch.testing.assert_close(code(encoder, [FAR, NEAR, MIDDLE, JUNK], 3), table(encoder, seen))
+    torch.testing.assert_close(code(encoder, [NEAR], 1), table(encoder, [NEAR, VIRTUAL]))
+
+
+def test_lexicographic_slots_go_to_the_nearest():
+    encoder = build("fp", slots=2, sort="lexicographic")
+    far_left = [-0.95, 0.0, 0.0]
+    torch.testing.assert_close(
+        code(encoder, [far_left, MIDDLE, NEAR], 3), table(encoder, [NEAR, MIDDLE])
+    )
+
+
+@pytest.mark.parametrize("name", ["ap", "fp"])
+def test_another_number_of_rows_is_refused(name):
+    with pytest.raises(ValueError, match=r"expected 6 rows, as built, got 24; pass slots=Z"):
+        build(name)(*scene([3], rows=4 * N))
+
+
+# -- parameter counts -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("d1", "d2", "n", "hidden", "code_dim"),
+    [(7, 9, 50, (128, 128), None), (7, 9, 50, (256, 256), None), (5, 12, 20, (64, 64), None),
+     (7, 9, 15, (128, 64, 32), None), (5, 10, 20, (256,) * 5, 101), (6, 4, 8, (96,), 49)],
+)  # fmt: skip
+@pytest.mark.parametrize("name", NAMES)
+def test_parameter_counts_match_within_5_percent(name, d1, d2, n, hidden, code_dim):
+    dims: dict[str, Any] = {
+        "vehicle_dim": d1,
+        "ego_dim": d2,
+        "max_vehicles": n,
+        "code_dim": code_dim,
+    }
+    esc = parameter_count(ESCEncoder(**dims, hidden=hidden))
+    widths = matched_hidden(name, **dims, hidden=hidden)
+    count = parameter_count(REPRESENTATIONS[name](**dims, hidden=widths))
+    assert abs(count - esc) <= 0.05 * esc
+    assert len(widths) == len(hidden)
+    assert (
+        max(abs(w / widths[0] - v / hidden[0]) for w, v in zip(widths, hidden, strict=True)) < 0.05
+    )
+    if name == "esc":
+        assert widths == hidden
+
+
+def test_parameter_count_is_that_of_the_formula():
+    esc = build("esc")
+    assert parameter_count(esc) == (3 * 16 + 16) + (16 * 8 + 8) + (8 * 19 + 19)
+    esc.output.bias.requires_grad_(False)
+    assert parameter_count(esc) == (3 * 16 + 16) + (16 * 8 + 8) + 8 * 19
+
+
+def test_matching_draws_no_random_numbers():
+    state = torch.get_rng_state()
+    matched_hidden("fp", vehicle_dim=7, ego_dim=9, max_vehicles=50)
+    assert torch.equal(state, torch.get_rng_state())
+
+
+def test_matching_out_of_reach_warns():
+    # One unit of fp with 50 vehicles already has more parameters than this ESC.
+    dims: dict[str, Any] = {"vehicle_dim": 7, "ego_dim": 9, "max_vehicles": 50, "hidden": (2,)}
+    dims["code_dim"] = 10
+    with pytest.warns(UserWarning, match="Theorem 1"):
+        assert parameter_count(ESCEncoder(**dims)) == 16 + 30
+    with pytest.warns(UserWarning, match="more than 5 % off"):
+        assert matched_hidden("fp", **dims) == (1,)
+
+
+# -- errors and registry --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("index", "tensor", "message"),
+    [
+        (0, torch.zeros(2, N, D1 + 1), r"vehicles: expected shape \(2, 6, 3\), got \(2, 6, 4\)"),
+        (0, torch.zeros(N, D1), r"vehicles: expected shape \(2, 6, 3\), got \(6, 3\)"),
+        (1, torch.zeros(2, N, 1), r"expected shape \(B, N, 3\)|mask: expected shape \(B, N\)"),
+        (1, torch.zeros(3, N), r"vehicles: expected shape \(3, 6, 3\), got \(2, 6, 3\)"),
+        (2, torch.zeros(2, D2 + 1), r"ego: expected shape \(2, 2\), got \(2, 3\)"),
+        (0, torch.zeros(2, N, D1, dtype=torch.float64), "vehicles: expected dtype torch.float32"),
+        (2, torch.zeros(2, D2, dtype=torch.long), "ego: expected dtype torch.float32"),
+    ],
+)
+def test_wrong_tensors_are_refused(name, index, tensor, message):
+    inputs = list(scene([1, 2]))
+    inputs[index] = tensor
+    with pytest.raises(ValueError, match=message):
+        build(name)(*inputs)
+
+
+@pytest.mark.parametrize(
+    ("name", "kwargs", "message"),
+    [
+        ("esc", {"vehicle_dim": 0}, r"vehicle_dim: expected an integer >= 1, got 0"),
+        ("esc", {"ego_dim": 2.5}, "ego_dim"),
+        ("esc", {"max_vehicles": None}, "max_vehicles"),
+        ("esc", {"code_dim": -1}, "code_dim"),
+        ("esc", {"hidden": ()}, "hidden: expected at least one"),
+        ("esc", {"hidden": (8, 0)}, r"hidden\[1\]"),
+        ("esc", {"scale": 0.0}, "scale"),
+        ("esc", {"scale": math.nan}, "scale"),
+        ("attention", {"heads": 0}, "heads"),
+        ("fp", {"slots": 0}, "slots"),
+        ("fp", {"sort": "size"}, "sort: expected one of distance, lexicographic, got 'size'"),
+        ("fp", {"position": (0, 3)}, "position: expected two of 3 columns"),
+        ("ap", {"high": [1.0]}, "low, high"),
+        ("ap", {"high": [1.0, 0.0, 1.0]}, "low, high"),
+    ],
+)
+def test_wrong_settings_are_refused(name, kwargs, message):
+    with pytest.raises(ValueError, match=message):
+        build(name, **kwargs)
+
+
+def test_representation_by_name_and_by_path():
+    assert representation("esc") is ESCEncoder
+    assert representation("esc_gym.encoders:FPEncoder") is FPEncoder
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "atention",
+            r"expected one of esc, fp, ap, mean, max, attention.*did you mean 'attention'",
+        ),
+        ("nonsense", r"unknown representation 'nonsense'"),
+        ("no_such_module:Encoder", "no_such_module"),
+        ("esc_gym.encoders:NoEncoder", "NoEncoder"),
+        ("math:pi", "subclass of SetEncoder"),
+        (":ESCEncoder", "Empty module name"),
+    ],
+)
+def test_unknown_representations_are_refused(name, message):
+    with pytest.raises(ValueError, match=message):
+        representation(name)
+
+
+def test_a_new_representation_is_one_class():
+    class Count(SetEncoder):
+        def encode(self, vehicles, mask, ego):
+            return mask.sum(dim=1, keepdim=True).to(ego.dtype).expand(-1, self.code_dim)
+
+    vehicles, mask, ego = scene([0, 4])
+    assert Count(**DIMS, code_dim=1)(vehicles, mask, ego)[:, 0].tolist() == [0, 4]
+    with pytest.raises(NotImplementedError, match="has to define encode"):
+        SetEncoder(**DIMS)(vehicles, mask, ego)
+
+
+def test_encoders_need_neither_sb3_nor_gymnasium_of_their_own():
+    """encoders.py imports torch and the standard library only."""
+    script = (
+        "import sys, runpy; runpy.run_path(sys.argv[1]);"
+        "bad = {'stable_baselines3', 'gymnasium', 'highway_env'} & set(sys.modules); print(bad)"
+    )
+    path = sys.modules[ESCEncoder.__module__].__file__
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "set()"
+
+
+def test_double_precision_and_state_dict():
+    encoder, (vehicles, mask, ego) = build("fp", high=[1.0, 0.5, 1.0]).double(), scene([3])
+    assert encoder(vehicles.double(), mask, ego.double()).dtype == torch.float64
+    assert all(name.startswith(("layers.", "output.")) for name in encoder.state_dict())
+
+
+def test_declarations():
+    assert {name for name in NAMES if not REPRESENTATIONS[name].permutation_invariant} == {"ap"}
+    assert {name for name in NAMES if not build(name).any_size} == {"ap", "fp"}

@@ -1,0 +1,224 @@
+"""SB3 extractors, on a fake env of the size of a unit test."""
+
+import copy
+import subprocess
+import sys
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
+
+from esc_gym import extractors
+from esc_gym.encoders import APEncoder, ESCEncoder
+from esc_gym.extractors import REPRESENTATIONS, ESCExtractor, FPExtractor, SetExtractor
+from esc_gym.matching import parameter_count
+
+N, D1, D2 = 4, 3, 2
+HIGH = np.array([1.0, 5.0, 1.0], np.float32)
+NAMED = {
+    cls.representation: cls
+    for cls in vars(extractors).values()
+    if isinstance(cls, type) and issubclass(cls, SetExtractor) and cls is not SetExtractor
+}
+
+
+def space(n: int = N, **parts: spaces.Space) -> spaces.Dict:
+    high = np.tile(HIGH, (n, 1))
+    return spaces.Dict({
+        "ego": spaces.Box(-1, 1, (D2,), np.float32),
+        "vehicles": spaces.Box(-high, high, (n, D1), np.float32),
+        "mask": spaces.MultiBinary(n),
+        **parts,
+    })  # fmt: skip
+
+
+class Traffic(gym.Env):
+    """0 to N random vehicles, five steps long; actions do nothing."""
+
+    observation_space: Any
+
+    def __init__(self, continuous: bool = False) -> None:
+        self.observation_space = space()
+        box = spaces.Box(-1, 1, (1,), np.float32)
+        self.action_space = box if continuous else spaces.Discrete(2)
+
+    def _observe(self) -> dict:
+        mask = (np.arange(N) < self.np_random.integers(N + 1)).astype(np.int8)
+        vehicles = self.observation_space["vehicles"].sample() * mask[:, None]
+        return {"ego": self.observation_space["ego"].sample(), "vehicles": vehicles, "mask": mask}
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.steps = 0
+        return self._observe(), {}
+
+    def step(self, action):
+        self.steps += 1
+        return self._observe(), float(self.np_random.random()), False, self.steps >= 5, {}
+
+
+ALGORITHMS: dict[str, Any] = {
+    "ppo": (PPO, False, {"n_steps": 8, "batch_size": 4, "n_epochs": 1}),
+    "a2c": (A2C, False, {"n_steps": 4}),
+    "dqn": (DQN, False, {"learning_starts": 4, "buffer_size": 32, "batch_size": 4}),
+    "sac": (SAC, True, {"learning_starts": 4, "buffer_size": 32, "batch_size": 4}),
+    "td3": (TD3, True, {"learning_starts": 4, "buffer_size": 32, "batch_size": 4}),
+}
+
+
+def model(algorithm: str, extractor: type[SetExtractor], share: bool | None = None, **kwargs):
+    cls, continuous, settings = ALGORITHMS[algorithm]
+    policy: dict[str, Any] = {
+        "features_extractor_class": extractor,
+        "features_extractor_kwargs": {"hidden": (8, 8), **kwargs},
+        "net_arch": [8],
+    }
+    if share is not None:
+        policy["share_features_extractor"] = share
+    return cls(
+        "MultiInputPolicy", Traffic(continuous), policy_kwargs=policy, seed=0, device="cpu",
+        **settings,
+    )  # fmt: skip
+
+
+def weights(learner) -> dict[str, torch.Tensor]:
+    """Copies of the encoders' weights, target networks' included."""
+    state = learner.policy.state_dict()
+    return {name: value.clone() for name, value in state.items() if ".encoder." in name}
+
+
+def test_every_representation_has_a_named_extractor():
+    assert set(NAMED) == set(REPRESENTATIONS)
+    for name, cls in NAMED.items():
+        assert cls.__name__.lower() == f"{name}extractor"
+        assert type(cls(space()).encoder) is REPRESENTATIONS[name]
+
+
+@pytest.mark.parametrize("name", sorted(NAMED))
+def test_forward_is_the_encoder_on_sb3_tensors(name):
+    extractor = NAMED[name](space())
+    sample = {key: torch.as_tensor(v)[None].float() for key, v in space().sample().items()}
+    output = extractor(sample)
+    assert output.shape == (1, extractor.features_dim) == (1, N * D1 + 1 + D2)
+    expected = extractor.encoder(sample["vehicles"], sample["mask"], sample["ego"])
+    torch.testing.assert_close(output, expected, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("name", sorted(NAMED))
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_learns_with_every_representation(algorithm, name):
+    learner = model(algorithm, NAMED[name])
+    before = weights(learner)
+    learner.learn(16)
+    after = weights(learner)
+    assert before.keys() == after.keys()
+    assert any(not torch.equal(before[key], after[key]) for key in before)
+    assert all(value.isfinite().all() for value in after.values())
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "share"),
+    [("ppo", False), ("a2c", True), ("a2c", False), ("dqn", None), ("sac", True), ("td3", True),
+     ("td3", False)],
+)  # fmt: skip
+def test_learns_with_every_algorithm_shared_or_not(algorithm, share):
+    learner = model(algorithm, ESCExtractor, share)
+    before = weights(learner)
+    learner.learn(16)
+    assert any(not torch.equal(before[key], value) for key, value in weights(learner).items())
+
+
+@pytest.mark.parametrize("name", sorted(NAMED))
+def test_deepcopy_is_independent_and_equal(name):
+    extractor = NAMED[name](space())
+    twin = copy.deepcopy(extractor)
+    sample = {key: torch.as_tensor(v)[None].float() for key, v in space().sample().items()}
+    expected = extractor(sample)
+    torch.testing.assert_close(twin(sample), expected, rtol=0, atol=0)
+    for parameter in twin.parameters():
+        torch.nn.init.zeros_(parameter)
+    torch.testing.assert_close(extractor(sample), expected, rtol=0, atol=0)
+
+
+def test_named_extractors_match_the_parameters_of_esc():
+    esc = parameter_count(ESCExtractor(space(), hidden=(64, 64)))
+    for cls in NAMED.values():
+        assert abs(parameter_count(cls(space(), hidden=(64, 64))) - esc) <= 0.05 * esc
+    plain = FPExtractor(space(), hidden=(64, 64), match_parameters=False)
+    assert plain.encoder.hidden == (64, 64)
+    assert ESCExtractor(space()).encoder.hidden == (128, 128)
+
+
+def test_representation_by_name_path_and_arguments():
+    assert isinstance(SetExtractor(space()).encoder, ESCEncoder)
+    extractor = SetExtractor(space(), "esc_gym.encoders:APEncoder", slots=2)
+    assert isinstance(extractor.encoder, APEncoder)
+    assert extractor.encoder.slots == 2
+    with pytest.warns(UserWarning, match="code_dim=5") as caught:
+        assert ESCExtractor(space(), code_dim=5).features_dim == 5 + D2
+    assert len(caught) == 1
+
+
+@pytest.mark.parametrize("name", ["ap", "fp"])
+def test_bounds_of_the_space_set_the_virtual_vehicle_and_distances(name):
+    half = spaces.Box(-2 * HIGH * np.ones((N, 1)), HIGH * np.ones((N, 1)), (N, D1), np.float64)
+    encoder: Any = NAMED[name](space(vehicles=half)).encoder
+    assert encoder.virtual.tolist() == [1.0, -2.5, 0.0]
+    assert encoder.center.tolist() == [-0.5, -2.5]
+    assert encoder.reach.tolist() == [1.5, 7.5]
+
+
+LOAD = """
+import sys, numpy as np
+from stable_baselines3 import PPO
+model = PPO.load(sys.argv[1], device="cpu")
+observation = dict(np.load(sys.argv[2]))
+with __import__("torch").no_grad():
+    tensors, _ = model.policy.obs_to_tensor(observation)
+    print(*model.policy.get_distribution(tensors).distribution.logits.flatten().tolist())
+"""
+
+
+@pytest.mark.parametrize("name", ["esc", "fp", "attention"])
+def test_saved_models_load_in_a_new_process(name, tmp_path):
+    learner = model("ppo", NAMED[name])
+    observation = Traffic().reset(seed=3)[0]
+    learner.save(tmp_path / "model.zip")
+    np.savez(tmp_path / "observation.npz", **observation)
+    with torch.no_grad():
+        tensors, _ = learner.policy.obs_to_tensor(observation)
+        expected = learner.policy.get_distribution(tensors).distribution.logits
+    arguments = [str(tmp_path / "model.zip"), str(tmp_path / "observation.npz")]
+    done = subprocess.run(
+        [sys.executable, "-c", LOAD, *arguments], capture_output=True, text=True, check=True
+    )
+    loaded = [float(value) for value in done.stdout.split()]
+    assert loaded == pytest.approx(expected.flatten().tolist(), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        spaces.Box(-1, 1, (N, D1), np.float32),
+        spaces.Dict(ego=spaces.Box(-1, 1, (D2,)), vehicles=spaces.Box(-1, 1, (N, D1))),
+        space(mask=spaces.MultiBinary(N + 1)),
+        space(mask=spaces.Box(0, 1, (N,), np.float32)),
+        space(ego=spaces.Box(-1, 1, (1, D2), np.float32)),
+        space(vehicles=spaces.Box(-1, 1, (N * D1,), np.float32)),
+        space(vehicles=spaces.Discrete(3)),
+    ],
+)
+def test_other_spaces_are_refused(wrong):
+    with pytest.raises(
+        ValueError, match=r"got (Box|\{.*\}); wrap the env with esc_gym.SetObservation"
+    ):
+        ESCExtractor(wrong)
+
+
+def test_unknown_representation_is_refused():
+    with pytest.raises(ValueError, match="expected one of esc, fp, ap"):
+        SetExtractor(space(), "ecs")
