@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
+from math import copysign
 from typing import Any, Literal, get_args
 
 import gymnasium as gym
@@ -137,41 +138,35 @@ class SetObservationType(ObservationType):
         """One observation: ``ego`` (d2,), ``vehicles`` (N, d1), ``mask`` (N,)."""
         view = EgoView(self.env, self.spec.frame)
         near = self._perceived(view)
-        count = len(near)
         vehicles = np.zeros((self.spec.max_vehicles, len(self.spec.features)), np.float32)
         mask = np.zeros(self.spec.max_vehicles, np.int8)
         kept = self._kept(near)
         if kept:
-            vehicles[: len(kept)] = self.rows.encode(self._rows(view, kept))
+            rows = np.array([row for _, row, _ in kept])
+            rows = rows if self._columns is None else rows[:, self._columns]
+            vehicles[: len(kept)] = self.rows.encode(rows)
             mask[: len(kept)] = 1
         elif self.spec.empty == "virtual":
             vehicles[0], mask[0] = self._virtual_row(), 1
-        ids = tuple([item[4] for item in kept])
-        self.info = {"count": count, "overflow": count - len(kept), "ids": ids}
+        ids = tuple([number for _, _, number in kept])
+        self.info = {"count": len(near), "overflow": len(near) - len(kept), "ids": ids}
         return {"ego": self._ego(view), "vehicles": vehicles, "mask": mask}
 
     def _ego(self, view: EgoView) -> NDArray[np.float32]:
         # Scalars, not arrays: d2 is about ten, and NumPy's calls would cost more than the numbers.
         values = [
-            min(1.0, max(-1.0, (get(view) - center) / half))
+            copysign(1.0, value)
+            if (value := (get(view) - center) / half) > 1.0 or value < -1.0
+            else value
             for get, center, half in self._ego_columns
         ]
         return np.array(values, np.float32)
 
-    def _rows(self, view: EgoView, kept: list) -> NDArray[np.float64]:
-        """Physical feature values, one row per kept object."""
-        if extra := self._extra_getters:
-            rows = [
-                (*default_row(view, other, dx, dy), *[get(view, other) for get in extra])
-                for _, dx, dy, other, _ in kept
-            ]
-        else:
-            rows = [default_row(view, other, dx, dy) for _, dx, dy, other, _ in kept]
-        values = np.array(rows)
-        return values if self._columns is None else values[:, self._columns]
+    def _perceived(self, view: EgoView) -> list[tuple[float, tuple[float, ...], int]]:
+        """(squared distance, physical feature values, id) of all that is perceived, in road order.
 
-    def _perceived(self, view: EgoView) -> list[tuple[float, float, float, Any, int]]:
-        """(squared distance, dx, dy, object, id) of all nearer than the perception distance."""
+        The values are in the order default features, then extra ones.
+        """
         x, y, ego = view.x, view.y, view.vehicle
         reach = self.spec.perception_distance
         limit = reach * reach
@@ -184,7 +179,10 @@ class SetObservationType(ObservationType):
                 dy = other_y - y
                 squared = dx * dx + dy * dy
                 if squared < limit and other is not ego and other.solid:
-                    near.append((squared, dx, dy, other, self._id(other)))
+                    row = default_row(view, other, dx, dy)
+                    if extra := self._extra_getters:
+                        row = (*row, *[get(view, other) for get in extra])
+                    near.append((squared, row, self._id(other)))
         return near
 
     def _kept(self, near: list) -> list:

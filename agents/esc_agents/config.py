@@ -131,7 +131,7 @@ class EvaluationConfig(_Model):
     """Evaluation during training and at its end, on fixed seeds that training never sees."""
 
     every: PositiveInt | None = None
-    """Training steps between two evaluations; default: a fifth of the run."""
+    """Training steps between two evaluations; default: a fifth of the run, at least 1000."""
     episodes: PositiveInt = 10
     seed: NonNegativeInt = 1_000_000
     """Seed of the first episode; the others follow."""

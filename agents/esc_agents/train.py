@@ -171,7 +171,7 @@ def _learn(
     ]
     model.set_logger(Logger(str(directory), writers))
     evaluation = FixedSeedEvaluation(
-        judges, seeds(config), config.evaluation.every or max(1, config.steps // 5), directory
+        judges, seeds(config), config.evaluation.every or max(1000, config.steps // 5), directory
     )
     evaluation.stopped = lambda: stop.interrupted
     checkpoints = Checkpoints(directory / "checkpoints", config.checkpoint_every)

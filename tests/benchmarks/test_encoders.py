@@ -6,7 +6,6 @@ the output layer is too small for much to be saved by applying it after the sum,
 padding alone is worth N / mean M = 6.25.
 """
 
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -16,9 +15,9 @@ import torch
 from torch import Tensor
 
 from esc_gym.encoders import ESCEncoder
+from tests.benchmarks.interleaved import fastest
 
 B, N, D1, D2 = 256, 50, 7, 9
-ROUNDS = 20
 
 
 @pytest.fixture(autouse=True)
@@ -65,22 +64,11 @@ def contenders(code_dim: int) -> dict[str, Callable[[], Tensor]]:
     }
 
 
-def interleaved(runs: dict[str, Callable[[], Tensor]]) -> dict[str, float]:
-    """Fastest time of each [s], taken in turns so that a noisy neighbour hits all alike."""
-    best = dict.fromkeys(runs, float("inf"))
-    for _ in range(ROUNDS):
-        for name, run in runs.items():
-            start = time.perf_counter()
-            run()
-            best[name] = min(best[name], time.perf_counter() - start)
-    return best
-
-
 @pytest.mark.parametrize(("code_dim", "speedup"), [(N * D1 + 1, 8.0), (64, 5.0)])
 def test_esc_costs_what_its_vehicles_cost(benchmark: Any, code_dim: int, speedup: float) -> None:
     runs = contenders(code_dim)
     torch.testing.assert_close(runs["esc"](), runs["padded"](), rtol=1e-4, atol=1e-5)
-    best = interleaved(runs)
+    best = fastest(runs)
     benchmark.pedantic(runs["esc"], rounds=5)
     benchmark.extra_info |= {
         "padded / esc": best["padded"] / best["esc"],

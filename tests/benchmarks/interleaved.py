@@ -1,0 +1,17 @@
+"""Fair timing on a noisy machine: contenders take turns, the fastest of each counts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+
+def fastest(runs: Mapping[str, Callable[[], object]], rounds: int = 20) -> dict[str, float]:
+    """Fastest time of each run [s]; in turns, so that a noisy neighbour hits all alike."""
+    best = dict.fromkeys(runs, float("inf"))
+    for _ in range(rounds):
+        for name, run in runs.items():
+            start = time.perf_counter()
+            run()
+            best[name] = min(best[name], time.perf_counter() - start)
+    return best
