@@ -88,13 +88,11 @@ def _changes(config: dict[str, Any], default: dict[str, Any]) -> dict[str, Any]:
 
 
 def merge_config(default: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """highway-env's ``default`` configuration with ``changes`` merged in, nested dicts too.
+    """highway-env's ``default`` configuration with ``changes`` merged in (see ``merge``).
 
-    A nested dict whose ``type`` changes is replaced, not merged: the arguments of one action type
-    mean nothing to another. Raises ValueError for a key that highway-env does not know.
+    Raises ValueError for a key that highway-env does not know.
     """
-    merged = deepcopy(default)
-    for key, value in changes.items():
+    for key in changes:
         if key == "observation":
             raise ValueError(
                 "config['observation'] has no effect here: esc_gym observes the set. Pass "
@@ -105,10 +103,23 @@ def merge_config(default: dict[str, Any], changes: Mapping[str, Any]) -> dict[st
             near = get_close_matches(key, default, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(default)}."
             raise ValueError(f"config: unknown key {key!r}; {hint}")
-        old = merged.get(key)
-        if isinstance(old, dict) and isinstance(value, Mapping):
-            keep = value.get("type", old.get("type")) == old.get("type")
-            merged[key] = {**old, **value} if keep else dict(value)
-        else:
-            merged[key] = deepcopy(value)
+        if isinstance(default.get(key), dict) and not isinstance(changes[key], Mapping):
+            raise ValueError(f"config[{key!r}]: expected a mapping, got {changes[key]!r}.")
+    return merge(default, changes)
+
+
+def merge(config: Mapping[str, Any], *changes: Mapping[str, Any]) -> dict[str, Any]:
+    """highway-env configurations merged, later ones winning, nested mappings too.
+
+    A nested mapping whose ``type`` changes is replaced: the arguments of one action type mean
+    nothing to another.
+    """
+    merged = deepcopy(dict(config))
+    for change in changes:
+        for key, value in deepcopy(dict(change)).items():
+            old = merged.get(key)
+            if isinstance(old, Mapping) and isinstance(value, Mapping):
+                same = value.get("type", old.get("type")) == old.get("type")
+                value = {**old, **value} if same else value
+            merged[key] = value
     return merged

@@ -29,4 +29,4 @@ model.save("esc_ppo")
 model = PPO.load("esc_ppo")  # nothing to register: esc_gym only has to be installed
 observation, _ = env.reset(seed=1)
 action, _ = model.predict(observation, deterministic=True)
-print("action for the first observation:", env.unwrapped.action_type.actions[int(action)])
+print("action for the first observation:", action)

@@ -25,17 +25,25 @@ from esc_gym.features import DEFAULT_FEATURES
 from esc_gym.registration import ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+Seed = Annotated[int, Field(ge=0, lt=2**32)]  # what NumPy takes
 
 
 def _flow(value: Any) -> str:
     return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10**6).strip()
 
 
+def _from_yaml(words: list[str]) -> Any:
+    try:
+        return yaml.safe_load(words[0])
+    except yaml.YAMLError as error:
+        raise ValueError(f"expected YAML such as '{{key: value}}', got {words[0]!r}") from error
+
+
 # On the command line a mapping is one YAML argument: --env-config '{lanes_count: 3}'.
 _YamlArgument = PrimitiveConstructorSpec(
     nargs=1,
     metavar="YAML",
-    instance_from_str=lambda text: yaml.safe_load(text[0]),
+    instance_from_str=_from_yaml,
     is_instance=lambda value: isinstance(value, dict),
     str_from_instance=lambda value: [_flow(value)],
 )
@@ -44,7 +52,9 @@ Ranges = Annotated[dict[str, tuple[float, float]], _YamlArgument]
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 class ObservationConfig(_Model):
@@ -108,6 +118,8 @@ class PPOConfig(_Model):
     ent_coef: NonNegativeFloat = 0.01
     vf_coef: NonNegativeFloat = 0.5
     max_grad_norm: PositiveFloat = 0.5
+    ortho_init: bool = True
+    """SB3's orthogonal initialisation, of the encoder too; false: PyTorch's own."""
     net_arch: tuple[PositiveInt, ...] = (128, 128)
     """Hidden widths of the policy and of the value network after the features extractor."""
 
@@ -133,7 +145,7 @@ class EvaluationConfig(_Model):
     every: PositiveInt | None = None
     """Training steps between two evaluations; default: a fifth of the run, at least 1000."""
     episodes: PositiveInt = 10
-    seed: NonNegativeInt = 1_000_000
+    seed: Seed = 1_000_000
     """Seed of the first episode; the others follow."""
 
 
@@ -148,7 +160,7 @@ class TrainConfig(_Model):
     """sac drives with throttle and steering (`continuous`); ppo as the scenario says."""
     steps: PositiveInt = 100_000
     """Training steps over all environments."""
-    seed: NonNegativeInt = 0
+    seed: Seed = 0
     n_envs: PositiveInt = 4
     """Environments that training steps at once."""
     vec: Literal["auto", "dummy", "subproc"] = "auto"
@@ -201,7 +213,7 @@ def load_config(name: str | Path) -> TrainConfig:
     if not isinstance(values, dict):
         raise UserError(f"config {path}: expected keys and values, got {type(values).__name__}")
     try:
-        return TrainConfig(**values)
+        return TrainConfig.model_validate(values)
     except ValidationError as error:
         raise UserError(f"config {path}: {explain(error)}") from error
 

@@ -19,7 +19,7 @@ from gymnasium.envs.registration import load_env_creator
 from esc_agents.config import TrainConfig
 from esc_agents.errors import UserError
 from esc_agents.ttc import time_to_collision
-from esc_gym.registration import NAMESPACE, merge_config
+from esc_gym.registration import NAMESPACE, merge, merge_config
 from esc_gym.scenarios import scenario_of_class
 
 REFERENCE_SPEED = 30.0  # m/s; ``progress_reward`` is paid for this much along the lane
@@ -126,26 +126,16 @@ class SeededEpisodes(gym.Wrapper):
 
 def env_config(config: TrainConfig) -> dict[str, Any]:
     """The highway-env configuration of a run: the scenario's, changed by ``continuous`` for SAC."""
-    _, default = _class_and_default(config)
-    merged = dict(config.env_config)
-    if config.algo == "sac" and config.continuous:
-        for key, value in config.continuous.env_config.items():
-            known = {key: merged.get(key, default.get(key))}
-            merged.update(merge_config(known, {key: value}))
-    return merged
-
-
-def _class_and_default(config: TrainConfig) -> tuple[type, dict[str, Any]]:
-    entry_point = gym.registry[config.env].entry_point
-    env_class: Any = load_env_creator(entry_point)  # type: ignore[arg-type]
-    return env_class, env_class.default_config()
+    preset = config.continuous.env_config if config.algo == "sac" and config.continuous else {}
+    return merge(config.env_config, preset)
 
 
 def check_actions(config: TrainConfig) -> None:
     """Raises UserError where algorithm and action space cannot meet, with the reason."""
-    env_class, default = _class_and_default(config)
-    action = merge_config(default, env_config(config))["action"]["type"]
-    reason = scenario_of_class(env_class).discrete_only
+    env_class: Any = load_env_creator(str(gym.registry[config.env].entry_point))
+    action = merge_config(env_class.default_config(), env_config(config))["action"]["type"]
+    scenario = scenario_of_class(env_class)
+    reason = scenario.discrete_only if scenario else None
     wanted = "continuous actions" if config.algo == "ppo" else "--algo sac"
     if reason and (action == "ContinuousAction" or config.algo == "sac"):
         raise UserError(
@@ -154,8 +144,8 @@ def check_actions(config: TrainConfig) -> None:
         )
     if config.algo == "sac" and action != "ContinuousAction":
         raise UserError(
-            f"--algo sac needs continuous actions, got {action} on {config.env}; give the scenario "
-            "a `continuous` section, or pass --env-config '{action: {type: ContinuousAction}}'"
+            f"--algo sac on {config.env}: expected continuous actions, got {action}; give the "
+            "scenario a `continuous` section, or --env-config '{action: {type: ContinuousAction}}'"
         )
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict
 from pathlib import Path
 
 from esc_agents import run
+from esc_agents.callbacks import StopOnInterrupt
 from esc_agents.errors import UserError
 from esc_agents.evaluate import Summary, as_rows, evaluate, model_policy
 from esc_agents.report import results_table, show
-from esc_agents.train import ALGORITHMS, say, vectorise
+from esc_agents.train import load_model, say, vectorise
 from esc_agents.video import film
 
 
@@ -22,19 +24,18 @@ def evaluate_run(
     shuffle: permute the vehicles of every observation. video: folder for GIFs of the first
     ``videos`` episodes. json_file: for summary and episodes.
     """
-    config = run.open_run(run_dir)
-    path = run.latest_model(run_dir)
-    if json_file and not json_file.parent.is_dir():
-        raise UserError(f"json: folder {json_file.parent} does not exist")
-    try:
-        model = ALGORITHMS[config.algo].load(path, device=device)
-    except Exception as error:
-        raise UserError(f"{path} is damaged or of another version: {error}") from error
+    config = run.open_run(run_dir).model_copy(update={"device": device})
+    model = load_model(config, run_dir)
+    _check_outputs(video, json_file)
     envs = vectorise(config, min(config.n_envs, episodes), evaluation=True, shuffle=shuffle)
     try:
-        drives = evaluate(envs, model_policy(model), range(seed, seed + episodes))
+        with StopOnInterrupt() as stop:
+            seeds = range(seed, seed + episodes)
+            drives = evaluate(envs, model_policy(model), seeds, lambda: stop.interrupted)
     finally:
         envs.close()
+    if stop.interrupted:
+        raise KeyboardInterrupt
     summary = Summary.of(drives)
     name = f"{config.repr}, shuffled" if shuffle else config.repr
     title = f"{config.env}, {config.algo}, {model.num_timesteps:,} steps: {episodes} episodes"
@@ -47,3 +48,16 @@ def evaluate_run(
         for drive in drives[:videos]:
             say(f"Video: {film(config, model_policy(model), drive.seed, video, shuffle)}")
     return summary
+
+
+def _check_outputs(video: Path | None, json_file: Path | None) -> None:
+    """Make the folder for videos; raises UserError now where results could not be written later."""
+    if json_file and not json_file.parent.is_dir():
+        raise UserError(f"json: folder {json_file.parent} does not exist")
+    if json_file and (json_file.is_dir() or not os.access(json_file.parent, os.W_OK)):
+        raise UserError(f"json: expected a file that can be written, got {json_file}")
+    try:
+        if video:
+            video.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"video: folder {video}: {error.strerror}") from error

@@ -9,24 +9,38 @@ from rich.table import Table
 
 from esc_agents.evaluate import Summary
 
+COLUMNS = ("policy", "return", "collisions", "speed m/s", "steps", "lane changes", "min TTC s")
+
+
+def cells(name: str, s: Summary) -> list[str]:
+    """The row of a policy; brackets hold 95 % intervals."""
+    return [
+        name,
+        f"{s.reward:.2f} [{s.reward_low:.2f}, {s.reward_high:.2f}]",
+        f"{s.collision_rate:.0%} [{s.collision_low:.0%}, {s.collision_high:.0%}]",
+        f"{s.speed:.1f}",
+        f"{s.length:.1f}",
+        f"{s.lane_changes:.1f}",
+        "none" if isinf(s.min_ttc) else f"{s.min_ttc:.1f}",
+    ]
+
 
 def results_table(title: str, results: dict[str, Summary]) -> Table:
-    """One row per policy; brackets hold 95 % intervals."""
+    """One row per policy, for the terminal."""
     table = Table(title=title, title_justify="left", title_style="bold", header_style="bold")
-    table.add_column("policy", no_wrap=True)
-    for column in ("return", "collisions", "speed m/s", "steps", "lane changes", "min TTC s"):
-        table.add_column(column, justify="right", no_wrap=True)
-    for name, s in results.items():
-        table.add_row(
-            name,
-            f"{s.reward:.2f} [{s.reward_low:.2f}, {s.reward_high:.2f}]",
-            f"{s.collision_rate:.0%} [{s.collision_low:.0%}, {s.collision_high:.0%}]",
-            f"{s.speed:.1f}",
-            f"{s.length:.1f}",
-            f"{s.lane_changes:.1f}",
-            "none" if isinf(s.min_ttc) else f"{s.min_ttc:.1f}",
-        )
+    for column in COLUMNS:
+        justify = "left" if column == "policy" else "right"
+        table.add_column(column, justify=justify, no_wrap=True)
+    for name, summary in results.items():
+        table.add_row(*cells(name, summary))
     return table
+
+
+def markdown(results: dict[str, Summary]) -> str:
+    """One row per policy, as a Markdown table."""
+    rows = [COLUMNS, ["---", *["---:"] * (len(COLUMNS) - 1)]]
+    rows += [cells(name, summary) for name, summary in results.items()]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def show(table: Table) -> None:

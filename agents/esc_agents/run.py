@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +43,16 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write a JSON file atomically."""
-    write_text(path, json.dumps(value, indent=2, allow_nan=True) + "\n")
+    """Write a JSON file atomically; infinities, which JSON does not have, as null."""
+    write_text(path, json.dumps(_finite(value), indent=2, allow_nan=False) + "\n")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def default_run_dir(config: TrainConfig) -> Path:
@@ -55,21 +64,35 @@ def default_run_dir(config: TrainConfig) -> Path:
 
 def create(path: Path, config: TrainConfig, wrapper: dict[str, Any]) -> Path:
     """A new run directory with config.yaml, command.txt, versions.json and wrapper.json."""
+    check_free(path)
     try:
-        path.mkdir(parents=True)
-    except FileExistsError as error:
-        raise UserError(
-            f"run directory {path} already exists; continue that run with esc-train --resume "
-            f"{path}, or give another --run-dir"
-        ) from error
+        (path / "checkpoints").mkdir(parents=True)
     except OSError as error:
         raise UserError(f"run directory {path}: {error.strerror}") from error
-    (path / "checkpoints").mkdir()
-    write_text(path / "config.yaml", f"# esc-train --config {path}/config.yaml\n{dump(config)}")
-    write_text(path / "command.txt", shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) + "\n")
+    note_session(path, config)
     write_json(path / "versions.json", versions())
     write_json(path / "wrapper.json", wrapper)
     return path
+
+
+def check_free(path: Path) -> None:
+    """Raises UserError where no directory can be made at ``path``."""
+    if os.path.lexists(path):
+        raise UserError(
+            f"run directory {path} already exists; continue that run with esc-train --resume "
+            f"{path}, or give another --run-dir"
+        )
+    parent = next(folder for folder in path.absolute().parents if folder.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise UserError(f"run directory {path}: no directory can be made in {parent}")
+
+
+def note_session(path: Path, config: TrainConfig) -> None:
+    """Keep what this session, the first or one that resumes, is to do, and add its command."""
+    write_text(path / "config.yaml", f"# esc-train --config {path}/config.yaml\n{dump(config)}")
+    commands = path / "command.txt"
+    before = commands.read_text(encoding="utf-8") if commands.is_file() else ""
+    write_text(commands, before + shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) + "\n")
 
 
 def open_run(path: Path) -> TrainConfig:
@@ -106,7 +129,7 @@ class MetricsFile:
     """metrics.csv: one row per log; goes on where an earlier session of the run stopped."""
 
     def __init__(self, path: Path, first_step: int = 0) -> None:
-        """Rows of ``first_step`` and later, logged after the model was saved, are dropped."""
+        """Rows past ``first_step``, logged after the model was saved, are dropped."""
         self.path = path
         self.rows: list[dict[str, Any]] = []
         if path.is_file():

@@ -42,14 +42,19 @@ def check(config: TrainConfig) -> gym.Env:
     except ValueError as error:
         raise UserError(f"repr: {error}") from error
     check_env_id(config.env)
-    _check_device(config.device)
+    check_device(config.device)
     try:
         check_actions(config)
         env = make_env(config)
         env.reset(seed=config.seed)
-        _extractor(config)["features_extractor_class"](env.observation_space, **_arguments(config))
-    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-        raise UserError(f"{config.env}: {' '.join(str(error).split())}") from error
+        env.step(env.action_space.sample())  # reward terms are read here for the first time
+        _try_encoder(config, env)
+    except UserError:
+        raise
+    except Exception as error:  # a wrong value in env_config can make highway-env raise anything
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        reason = str(error).partition(" was raised from the environment creator")[0]
+        raise UserError(f"{config.env}: {kind}{reason}") from error
     rollout = config.ppo.n_steps * config.n_envs
     if config.algo == "ppo" and config.ppo.batch_size > rollout:
         raise UserError(
@@ -59,14 +64,21 @@ def check(config: TrainConfig) -> gym.Env:
     return env
 
 
-def _check_device(name: str) -> None:
+def check_device(name: str) -> None:
+    """Raises UserError unless torch can compute on the device called ``name``."""
     if name == "auto":
         return
     try:
-        torch.empty(0, device=name)
+        torch.empty(1, device=name).cpu()  # of "meta", too, torch makes tensors
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise UserError(f"device: expected auto, cpu or cuda, got {name!r}: {reason}") from error
+
+
+def _try_encoder(config: TrainConfig, env: Any) -> None:
+    extractor = SetExtractor(env.observation_space, **_arguments(config))
+    observation = env.observation_space.sample()
+    extractor({name: torch.as_tensor(value[None]).float() for name, value in observation.items()})
 
 
 def _arguments(config: TrainConfig) -> dict[str, Any]:
@@ -97,16 +109,21 @@ def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
 
 def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
     """An untrained SB3 model of the run's algorithm and representation."""
-    settings = config.hyperparameters.model_dump(exclude={"net_arch"})
+    settings = config.hyperparameters.model_dump(exclude={"net_arch", "ortho_init"})
     policy = {**_extractor(config), "net_arch": list(config.hyperparameters.net_arch)}
-    return ALGORITHMS[config.algo](
-        "MultiInputPolicy",  # type: ignore[arg-type]
-        envs,
-        policy_kwargs=policy,
-        seed=config.seed,
-        device=config.device,
-        **settings,
-    )
+    if config.algo == "ppo":
+        policy["ortho_init"] = config.ppo.ortho_init
+    try:
+        return ALGORITHMS[config.algo](
+            "MultiInputPolicy",  # type: ignore[arg-type]
+            envs,
+            policy_kwargs=policy,
+            seed=config.seed,
+            device=config.device,
+            **settings,
+        )
+    except MemoryError as error:
+        raise UserError(f"{config.algo}: buffer_size, n_steps or n_envs: {error}") from error
 
 
 def train(config: TrainConfig, *, resume: Path | None = None) -> bool:
@@ -117,12 +134,18 @@ def train(config: TrainConfig, *, resume: Path | None = None) -> bool:
     """
     probe = check(config)
     directory = resume or config.run_dir or run.default_run_dir(config)
-    if not resume:
-        directory = run.create(directory, config, wrapper_json(probe))
+    model = _load(config, directory) if resume else None
+    if model is None:
+        run.check_free(directory)
     envs = vectorise(config, config.n_envs)
     judges = vectorise(config, min(config.n_envs, config.evaluation.episodes), evaluation=True)
     try:
-        model = _load(config, directory, envs) if resume else new_model(config, envs)
+        if model:
+            model.set_env(envs)
+            run.note_session(directory, config)
+        else:
+            model = new_model(config, envs)
+            run.create(directory, config, wrapper_json(probe))
         say(describe(config, model, probe, directory))
         with StopOnInterrupt() as stop:
             _learn(config, model, directory, judges, stop)
@@ -144,12 +167,18 @@ def train(config: TrainConfig, *, resume: Path | None = None) -> bool:
         judges.close()
 
 
-def _load(config: TrainConfig, directory: Path, envs: VecEnv) -> BaseAlgorithm:
+def load_model(config: TrainConfig, directory: Path) -> BaseAlgorithm:
+    """The newest saved model of a run, without environments."""
+    check_device(config.device)
     path = run.latest_model(directory)
     try:
-        model = ALGORITHMS[config.algo].load(path, env=envs, device=config.device)
+        return ALGORITHMS[config.algo].load(path, device=config.device)
     except Exception as error:
         raise UserError(f"{path} is damaged or of another version: {error}") from error
+
+
+def _load(config: TrainConfig, directory: Path) -> BaseAlgorithm:
+    model = load_model(config, directory)
     if model.num_timesteps >= config.steps:
         raise UserError(
             f"{directory} has {model.num_timesteps:,} of {config.steps:,} steps already; "

@@ -10,7 +10,6 @@ from PIL import Image
 
 from esc_agents.config import TrainConfig
 from esc_agents.envs import make_env
-from esc_agents.errors import UserError
 from esc_agents.evaluate import Policy
 from esc_agents.run import write_atomically
 
@@ -34,11 +33,7 @@ class _Camera:
 
 
 def film(config: TrainConfig, policy: Policy, seed: int, folder: Path, shuffle: bool) -> Path:
-    """Drive one episode in front of the camera; the GIF plays in real time."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"video: folder {folder}: {error.strerror}") from error
+    """Drive one episode in front of the camera into ``folder``; the GIF plays in real time."""
     env: Any = make_env(config, shuffle=shuffle, render_mode="rgb_array")
     observation, _ = env.reset(seed=seed)
     camera = _Camera(env)

@@ -31,6 +31,9 @@ def guarded(program: str, command: Callable[[], int]) -> NoReturn:
         exit_with(program, str(error))
     except KeyboardInterrupt:
         code = 130
+    except BrokenPipeError:  # `esc-train --help | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 141
     raise SystemExit(code)
 
 
@@ -43,7 +46,9 @@ def parse(program: str, type_: type[T], args: Sequence[str], default: Any = None
         with contextlib.redirect_stderr(errors):
             if not {"-h", "--help"} & set(args):
                 os.environ["COLUMNS"] = "10000"  # no line breaks inside a message
-            return tyro.cli(type_, prog=program, args=list(args), **extra)
+            return tyro.cli(
+                type_, prog=program, args=list(args), config=(tyro.conf.AvoidSubcommands,), **extra
+            )
     except SystemExit as end:
         if end.code in (0, None):
             raise
@@ -55,11 +60,15 @@ def parse(program: str, type_: type[T], args: Sequence[str], default: Any = None
 
 
 def _one_line(framed: str) -> str:
-    lines = [line.strip("│╭╮╰╯ ") for line in framed.splitlines()]
-    body = [line for line in lines[1:] if line]
-    end = next((i for i, line in enumerate(body) if set(line) <= {"─"}), len(body))
-    text = " ".join(body[:end])
-    text = re.sub(r"\[type=\w+, input_value=(.*?), input_type=\w+\]", r"(got \1)", text)
-    text = re.sub(r"For further information visit \S+", "", text)
-    text = re.sub(r"Error parsing [\w.]+: \d+ validation errors? for \w+ ", "", text)
-    return text
+    """The message of tyro's box, and what it guesses was meant; drawn in ASCII or not, coloured or
+    not, as the terminal can."""
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", framed)
+    lines = [line.strip("│|+╭╮╰╯ ") for line in plain.splitlines()]
+    text = "\n".join("" if set(line) <= set("─-") else line for line in lines[1:])
+    message, *more = [" ".join(part.split()) for part in re.split(r"\n{2,}", text.strip("\n"))]
+    message = re.sub(r"\[type=\w+, input_value=(.*?), input_type=\w+\]", r"(got \1)", message)
+    message = re.sub(r" ?For further information visit \S+", "", message)
+    message = re.sub(r"Error parsing \w+Arguments: \d+ validation errors? for \w+ ", "", message)
+    message = re.sub(r"Error parsing ([\w.]+): \d+ validation errors? for \w+ ", r"\1.", message)
+    guesses = [part.split()[3] for part in more if part.startswith("Perhaps you meant: ")]
+    return f"{message}; did you mean {guesses[0]}?" if guesses else message

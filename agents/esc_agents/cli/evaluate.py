@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from pydantic import BaseModel, ConfigDict, NonNegativeInt, PositiveInt
+from pydantic import BaseModel, ConfigDict, PositiveInt
 
 from esc_agents.cli import guarded, parse
+from esc_agents.config import Seed
 
 PROGRAM = "esc-eval"
 
@@ -22,7 +23,7 @@ class EvaluateArguments(BaseModel):
     run_dir: Annotated[Path, tyro.conf.Positional]
     """Directory that esc-train wrote."""
     episodes: PositiveInt = 20
-    seed: NonNegativeInt = 2_000_000
+    seed: Seed = 2_000_000
     """Seed of the first episode; the others follow."""
     shuffle: bool = False
     """Permute the vehicles of every observation."""

@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 
 from esc_agents.cli import guarded, parse
-from esc_agents.config import TrainConfig, config_for_env, load_config
+from esc_agents.config import TrainConfig, config_for_env, load_config, scenarios
 from esc_agents.errors import UserError
+from esc_gym.registration import merge
 
 PROGRAM = "esc-train"
 
@@ -59,14 +60,14 @@ def _base(args: list[str]) -> TrainArguments:
         given, _ = early.parse_known_args(args)
     except argparse.ArgumentError as error:
         raise UserError(str(error)) from error
-    if given.resume:
+    if given.resume is not None:
         from esc_agents.run import open_run
 
         base = open_run(Path(given.resume))
-    elif given.config:
+    elif given.config is not None:
         base = load_config(given.config)
     else:
-        base = config_for_env(given.env or TrainConfig().env)
+        base = config_for_env(TrainConfig().env if given.env is None else given.env)
     return TrainArguments.model_construct(**dict(base))
 
 
@@ -74,8 +75,17 @@ def _config(arguments: TrainArguments, base: TrainArguments) -> TrainConfig:
     """The run's configuration: ``arguments`` with scenario names resolved to ids."""
     values = dict(arguments)
     del values["config"], values["resume"]
-    # --env-config adds to the scenario's configuration instead of replacing it.
-    values["env_config"] = {**base.env_config, **arguments.env_config}
+    # --env-config adds to the scenario's configuration, and also beats what SAC changes in it.
+    given = arguments.env_config if arguments.env_config != base.env_config else {}
+    values["env_config"] = merge(base.env_config, given)
+    if arguments.continuous and base.continuous:
+        preset = merge(base.continuous.env_config, arguments.continuous.env_config)
+        task = {"env_config": merge(preset, given)}
+        values["continuous"] = arguments.continuous.model_copy(update=task)
     if not arguments.config:
         values["env"] = base.env  # --env may have named a scenario, of which this is the id
+    elif arguments.env in scenarios() and arguments.env != base.env:
+        raise UserError(
+            f"--env beside --config: expected a highway-env id, got the scenario {arguments.env!r}"
+        )
     return TrainConfig(**values)

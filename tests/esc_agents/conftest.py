@@ -1,0 +1,28 @@
+"""Two finished runs that the tests of training, evaluation and the command line share."""
+
+import shutil
+
+import pytest
+
+from esc_agents.train import train
+from tests.esc_agents.tiny import tiny
+
+
+@pytest.fixture(scope="session")
+def ppo_run(tmp_path_factory):
+    path = tmp_path_factory.mktemp("ppo") / "run"
+    assert train(tiny(run_dir=path, checkpoint_every=16))
+    return path
+
+
+@pytest.fixture(scope="session")
+def sac_run(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sac") / "run"
+    assert train(tiny("lane-keeping-v0", algo="sac", run_dir=path))
+    return path
+
+
+@pytest.fixture
+def own_run(ppo_run, tmp_path):
+    """A copy of the PPO run that a test may change."""
+    return shutil.copytree(ppo_run, tmp_path / "own")

@@ -1,0 +1,131 @@
+import csv
+import json
+import os
+import platform
+
+import pytest
+
+from esc_agents import run
+from esc_agents.config import load_config
+from esc_agents.errors import UserError
+from esc_agents.run import STEP, MetricsFile
+from tests.esc_agents.tiny import tiny
+
+
+def read(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / "model.zip"
+    run.write_text(path, "old")
+
+    def fail(file):
+        file.write(b"half of the new")
+        raise RuntimeError("disk full")
+
+    with pytest.raises(RuntimeError, match="disk full"):
+        run.write_atomically(path, fail)
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["model.zip"]
+
+
+def test_json_is_standard_json(tmp_path):
+    run.write_json(tmp_path / "a.json", {"ttc": float("inf"), "rows": [(1.5, float("nan"))]})
+
+    def refuse(constant):
+        raise ValueError(constant)  # Infinity and NaN are no JSON
+
+    text = (tmp_path / "a.json").read_text()
+    assert json.loads(text, parse_constant=refuse) == {"ttc": None, "rows": [[1.5, None]]}
+
+
+def test_metrics_append_and_grow_columns(tmp_path):
+    path = tmp_path / "metrics.csv"
+    metrics = MetricsFile(path)
+    metrics.write({STEP: 1, "a": 0.5})
+    metrics.write({STEP: 2, "a": 0.25})
+    metrics.write({STEP: 3, "b": "x,y"})
+    metrics.write({STEP: 4, "a": 1})
+    assert read(path) == [
+        {STEP: "1", "a": "0.5", "b": ""},
+        {STEP: "2", "a": "0.25", "b": ""},
+        {STEP: "3", "a": "", "b": "x,y"},
+        {STEP: "4", "a": "1", "b": ""},
+    ]
+
+
+def test_metrics_go_on_after_the_step_that_was_saved(tmp_path):
+    path = tmp_path / "metrics.csv"
+    first = MetricsFile(path)
+    for step in (10, 20, 30):
+        first.write({STEP: step, "a": step})
+    with path.open("a") as file:
+        file.write("not a step,")  # a line cut short by a crash
+    second = MetricsFile(path, first_step=20)
+    second.write({STEP: 25, "c": 1})
+    assert [row[STEP] for row in read(path)] == ["10", "20", "25"]
+    assert [row["a"] for row in read(path)] == ["10", "20", ""]
+
+
+def test_a_new_run_directory(tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["/usr/bin/esc-train", "--env-config", "{lanes_count: 2}"])
+    config = tiny(seed=3)
+    path = run.create(tmp_path / "deep" / "run", config, {"max_vehicles": 6})
+    assert load_config(path / "config.yaml") == config == run.open_run(path)
+    assert (path / "command.txt").read_text() == "esc-train --env-config '{lanes_count: 2}'\n"
+    versions = json.loads((path / "versions.json").read_text())
+    assert versions["python"] == platform.python_version()
+    assert versions.keys() >= {"torch", "highway-env", "stable-baselines3", "platform"}
+    assert json.loads((path / "wrapper.json").read_text()) == {"max_vehicles": 6}
+    assert (path / "checkpoints").is_dir()
+
+
+def test_a_later_session_adds_its_command_and_new_settings(tmp_path, monkeypatch):
+    path = run.create(tmp_path / "run", tiny(steps=16), {})
+    monkeypatch.setattr("sys.argv", ["esc-train", "--resume", "run"])
+    run.note_session(path, tiny(steps=48))
+    assert (path / "command.txt").read_text().splitlines()[1:] == ["esc-train --resume run"]
+    assert run.open_run(path).steps == 48
+
+
+def test_nothing_is_overwritten(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    for name in ("file", "folder", "dangling"):
+        with pytest.raises(UserError, match="already exists"):
+            run.create(tmp_path / name, tiny(), {})
+    with pytest.raises(UserError, match="no directory can be made in"):
+        run.create(tmp_path / "file" / "run", tiny(), {})
+    assert (tmp_path / "file").read_text() == "mine"
+    assert not list((tmp_path / "folder").iterdir())
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_no_write_permission(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(UserError, match="no directory can be made in"):
+        run.create(tmp_path / "run", tiny(), {})
+
+
+def test_the_latest_model_is_the_one_written_last(tmp_path):
+    path = run.create(tmp_path / "run", tiny(), {})
+    with pytest.raises(UserError, match="no model yet"):
+        run.latest_model(path)
+    for age, name in ((30, "checkpoints/1.zip"), (10, "model.zip"), (20, "checkpoints/2.zip")):
+        (path / name).touch()
+        os.utime(path / name, (1e9 - age, 1e9 - age))
+    assert run.latest_model(path) == path / "model.zip"
+
+
+def test_default_directories_name_the_run():
+    path = run.default_run_dir(tiny(repr="my.module:Class", algo="sac", seed=7))
+    assert path.parent.name == "runs"
+    assert path.name.startswith("highway-fast-v0-my.module.Class-sac-7-")
+
+
+def test_no_run_directory(tmp_path):
+    with pytest.raises(UserError, match="expected a config.yaml"):
+        run.open_run(tmp_path)
