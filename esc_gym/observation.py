@@ -306,6 +306,7 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         empty: Empty = "zeros",
         on_overflow: OnOverflow = "warn",
     ) -> None:
+        # Lists, not tuples, so that the spec survives JSON.
         RecordConstructorArgs.__init__(
             self,
             max_vehicles=max_vehicles,
@@ -317,14 +318,15 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
             ranges=ranges and {name: list(bounds) for name, bounds in ranges.items()},
             empty=empty,
             on_overflow=on_overflow,
-        )  # fmt: skip  (lists, so that the spec survives JSON)
+        )
         super().__init__(env)
         base = _single_agent(env)
         scenario = scenario_of(base)
+        ego_features = scenario.ego_features if ego_features is None else ego_features
         self.set_spec = SetSpec(
             max_vehicles=_count(max_vehicles, max(1, scenario.capacity(base.config))),
             features=_names("feature", features, VEHICLE_FEATURES),
-            ego_features=_names("ego feature", ego_features or scenario.ego_features, EGO_FEATURES),
+            ego_features=_names("ego feature", ego_features, EGO_FEATURES),
             perception_distance=_positive("perception_distance", perception_distance),
             order=_choice("order", order, Order),
             frame=_choice("frame", frame or scenario.frame, Frame),
@@ -426,7 +428,7 @@ def _choice(name: str, value: str, literal: Any) -> Any:
 
 
 def _names(what: str, names: Sequence[str], table: Mapping[str, Any]) -> tuple[str, ...]:
-    names = tuple(names)
+    names = (names,) if isinstance(names, str) else tuple(names)
     unknown = [name for name in names if name not in table]
     if not names or unknown or len(set(names)) < len(names):
         raise ValueError(

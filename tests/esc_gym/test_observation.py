@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import doctest
 import math
 import pickle
 import subprocess
@@ -420,6 +421,8 @@ BAD = [
     ({"max_vehicles": True}, "expected a whole number"),
     ({"features": ["x", "colour"]}, r"got \['colour'\]"),
     ({"features": []}, "expected distinct names"),
+    ({"features": "xy"}, r"got \['xy'\]"),
+    ({"ego_features": []}, "expected distinct names"),
     ({"features": ["x", "x"]}, "expected distinct names"),
     ({"ego_features": ["goal_x"]}, "does not exist in HighwayEnvFast"),
     ({"perception_distance": -1.0}, "expected a positive finite number"),
@@ -455,6 +458,10 @@ def test_import_loads_neither_torch_nor_sb3():
         "assert not heavy, heavy; import esc_gym.extractors; assert 'torch' in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_example_in_the_docstring():
+    assert doctest.testmod(esc_gym.observation).failed == 0
 
 
 def test_table_of_contents():
