@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import isinf
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from esc_agents.evaluate import Summary
@@ -32,7 +33,7 @@ def results_table(title: str, results: dict[str, Summary]) -> Table:
         justify = "left" if column == "policy" else "right"
         table.add_column(column, justify=justify, no_wrap=True)
     for name, summary in results.items():
-        table.add_row(*cells(name, summary))
+        table.add_row(*map(escape, cells(name, summary)))  # brackets are markup to rich
     return table
 
 

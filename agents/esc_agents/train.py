@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import sys
 from dataclasses import asdict
@@ -32,6 +33,7 @@ from esc_gym.encoders import representation
 from esc_gym.extractors import SetExtractor
 from esc_gym.matching import parameter_count
 
+WORKERS_IMPORT = ["stable_baselines3.common.vec_env.subproc_vec_env", "esc_agents.envs"]
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 
 
@@ -104,7 +106,12 @@ def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
     made = factories(config, count, **options)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     spread = config.vec == "subproc" or (config.vec == "auto" and count > 1 and (cores or 1) > 1)
-    return SubprocVecEnv(made) if spread else DummyVecEnv(made)
+    if not spread:
+        return DummyVecEnv(made)
+    if "forkserver" in multiprocessing.get_all_start_methods():
+        # Workers are forked off a process that has imported all this, instead of each importing.
+        multiprocessing.get_context("forkserver").set_forkserver_preload(WORKERS_IMPORT)
+    return SubprocVecEnv(made)
 
 
 def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
@@ -225,8 +232,13 @@ def _results(
     """The trained policy and the blind ones on the same episodes."""
     names = action_names(probe)
     blind = blind_policies(probe.action_space, judges.num_envs, names, config.evaluation.seed)
+    policies = {config.repr: model_policy(model), **blind}
     results = {}
-    for name, policy in {config.repr: model_policy(model), **blind}.items():
+    if not stop.interrupted:
+        say(f"Evaluating {config.repr} beside {len(blind)} blind policies ...")
+    for name, policy in policies.items():
+        if stop.interrupted:
+            break
         episodes = evaluate(judges, policy, seeds(config), lambda: stop.interrupted)
         if episodes:
             results[name] = Summary.of(episodes)
