@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +25,9 @@ class _Camera:
     def __init__(self, env: Any) -> None:
         self.env, self.frames, self.frames_per_sec = env, [], 0.0
         env.unwrapped.set_record_video_wrapper(self)
+        with _without_screen():
+            env.render()  # makes the viewer
+        env.unwrapped.viewer.enabled = True  # highway-env paints nothing for the driver "dummy"
 
     def _capture_frame(self) -> None:
         frame = self.env.unwrapped.viewer
@@ -30,6 +36,19 @@ class _Camera:
 
     def shoot(self) -> None:
         self.frames.append(Image.fromarray(np.asarray(self.env.render())))
+
+
+@contextmanager
+def _without_screen() -> Iterator[None]:
+    """Keeps SDL from looking for a screen, and from complaining where there is none."""
+    before = os.environ.get("SDL_VIDEODRIVER")
+    os.environ["SDL_VIDEODRIVER"] = "dummy"
+    try:
+        yield
+    finally:
+        del os.environ["SDL_VIDEODRIVER"]
+        if before is not None:
+            os.environ["SDL_VIDEODRIVER"] = before
 
 
 def film(config: TrainConfig, policy: Policy, seed: int, folder: Path, shuffle: bool) -> Path:

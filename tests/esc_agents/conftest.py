@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from esc_agents.train import train
-from tests.esc_agents.tiny import tiny
+from tests.esc_agents.tiny import SAC_RUN, tiny
 
 
 @pytest.fixture(scope="session")
@@ -18,7 +18,7 @@ def ppo_run(tmp_path_factory):
 @pytest.fixture(scope="session")
 def sac_run(tmp_path_factory):
     path = tmp_path_factory.mktemp("sac") / "run"
-    assert train(tiny("lane-keeping-v0", algo="sac", run_dir=path))
+    assert train(tiny("lane-keeping-v0", algo="sac", run_dir=path, **SAC_RUN))
     return path
 
 

@@ -127,5 +127,5 @@ def test_default_directories_name_the_run():
 
 
 def test_no_run_directory(tmp_path):
-    with pytest.raises(UserError, match="expected a config.yaml"):
+    with pytest.raises(UserError, match=r"expected a config.yaml"):
         run.open_run(tmp_path)

@@ -8,7 +8,11 @@ from esc_agents.config import TrainConfig, config_for_env
 
 ROAD = {"vehicles_count": 6, "duration": 6, "lanes_count": 3}
 PPO = {"n_steps": 16, "batch_size": 16, "n_epochs": 1, "net_arch": (8,)}
-SAC = {"learning_starts": 8, "batch_size": 8, "buffer_size": 200, "net_arch": (8,)}
+SAC = {
+    "learning_starts": 8, "batch_size": 8, "buffer_size": 200, "net_arch": (8,), "train_freq": 8,
+}  # fmt: skip
+# Long enough for the four whole episodes after which SB3 logs.
+SAC_RUN: dict[str, Any] = {"steps": 512, "evaluation": {"episodes": 1, "every": 256}}
 
 
 def tiny(env: str = "highway-fast-v0", **changes: Any) -> TrainConfig:
