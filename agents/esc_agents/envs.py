@@ -1,6 +1,6 @@
 """Environments of a run: the set observation, the task's extra reward, driving statistics.
 
-Worker processes import this module: no torch here.
+Worker processes import this module, which itself needs no torch.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from math import cos
 from typing import Any
@@ -165,13 +166,16 @@ def make_env(
         observation["order"] = "shuffled"
     elif observation["order"] is None:
         observation["order"] = "shuffled" if config.repr == "ap" else "road"
-    env = gym.make(
-        f"{NAMESPACE}/{config.env}",
-        config=env_config(config),
-        render_mode=render_mode,
-        disable_env_checker=True,
-        **observation,
-    )
+    with warnings.catch_warnings():
+        # The run names its version; Gymnasium's advice to take a newer one would change the task.
+        warnings.filterwarnings("ignore", ".*is out of date.*", DeprecationWarning)
+        env = gym.make(
+            f"{NAMESPACE}/{config.env}",
+            config=env_config(config),
+            render_mode=render_mode,
+            disable_env_checker=True,
+            **observation,
+        )
     task = config.continuous if config.algo == "sac" else None
     if task and (task.progress_reward or task.offroad_terminal):
         env = Progress(env, task.progress_reward, task.offroad_terminal)

@@ -118,10 +118,11 @@ def versions() -> dict[str, str]:
             found[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
             found[package] = "not installed"
-    commit = subprocess.run(
-        ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    root = Path(__file__).parents[2]
+    if not (root / "pyproject.toml").is_file():  # installed: a repository around is not ours
+        return found
+    describe = ["git", "-C", str(root), "describe", "--always", "--dirty"]
+    commit = subprocess.run(describe, capture_output=True, text=True, check=False)
     return found | ({"commit": commit.stdout.strip()} if commit.returncode == 0 else {})
 
 
