@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 # 1,500 steps until the simulator is accelerated: highway-v0 runs at about 4 steps per second.
-TRAIN ?= --env highway-v0 --repr esc --steps 1500
+TRAIN ?= --env highway-v0 --repr esc --steps 1500 --evaluation.episodes 4
 WORKERS ?= 2
 
 .PHONY: setup train test bench lint

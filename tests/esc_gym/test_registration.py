@@ -41,23 +41,25 @@ def test_three_seeded_episodes(env_id):
         return observe()
 
     kind.observe = look_then_observe
+
+    def check(observation, info):
+        assert observation in env.observation_space
+        assert all(np.isfinite(value).all() for value in observation.values())
+        count, n = info["set"]["count"], kind.spec.max_vehicles
+        assert observation["mask"].tolist() == [1] * count + [0] * (n - count)
+        assert not observation["vehicles"][count:].any()
+        rows = env.get_wrapper_attr("decode")(observation)["vehicles"][:count]
+        assert_same_set(rows, expected[-1])
+
     for seed in range(3):
-        observation, info = env.reset(seed=seed)
+        check(*env.reset(seed=seed))
         env.action_space.seed(seed)
-        for _ in range(300):
-            assert observation in env.observation_space
-            assert all(np.isfinite(value).all() for value in observation.values())
-            count = info["set"]["count"]
-            assert observation["mask"].tolist() == [1] * count + [0] * (
-                kind.spec.max_vehicles - count
-            )
-            assert not observation["vehicles"][count:].any()
-            rows = env.get_wrapper_attr("decode")(observation)["vehicles"][:count]
-            assert_same_set(rows, expected[-1])
+        ended = False
+        while not ended:
             observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+            check(observation, info)
             assert np.isfinite(reward)
-            if terminated or truncated:
-                break
+            ended = terminated or truncated
     env.close()
 
 
