@@ -38,8 +38,9 @@ def evaluate_run(
         raise KeyboardInterrupt
     summary = Summary.of(drives)
     name = f"{config.repr}, shuffled" if shuffle else config.repr
-    title = f"{config.env}, {config.algo}, {model.num_timesteps:,} steps: {episodes} episodes"
-    show(results_table(f"{title} from seed {seed}", {name: summary}))
+    title = f"{config.env}, {config.algo}, {model.num_timesteps:,} steps; "
+    title += f"episodes: {episodes} from seed {seed}"
+    show(results_table(title, {name: summary}))
     if json_file:
         report = {**as_rows({name: summary})[0], "drives": [asdict(drive) for drive in drives]}
         run.write_json(json_file, report)

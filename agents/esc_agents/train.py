@@ -166,7 +166,7 @@ def train(config: TrainConfig, *, resume: Path | None = None) -> bool:
             return False
         run.write_json(directory / "results.json", as_rows(results))
         title = f"{config.env}, {config.repr}, {config.algo}, {model.num_timesteps:,} steps"
-        show(results_table(f"{title}: {config.evaluation.episodes} episodes", results))
+        show(results_table(f"{title}; episodes: {config.evaluation.episodes}", results))
         say(f"Run directory: {directory}")
         return True
     finally:
