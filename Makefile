@@ -1,7 +1,7 @@
 # The commands of this project; each sets up .venv by itself, from constraints.txt.
 PYTHON ?= python3
 BIN := .venv/bin
-# 1,500 steps until the simulator is accelerated: highway-v0 runs at about 4 steps per second.
+# 1,500 steps until the simulator is accelerated: highway-v0 makes a few steps a second.
 TRAIN ?= --env highway-v0 --repr esc --steps 1500 --evaluation.episodes 4
 WORKERS ?= 2
 

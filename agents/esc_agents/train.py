@@ -94,13 +94,6 @@ def _arguments(config: TrainConfig) -> dict[str, Any]:
     }
 
 
-def _extractor(config: TrainConfig) -> dict[str, Any]:
-    return {
-        "features_extractor_class": SetExtractor,
-        "features_extractor_kwargs": _arguments(config),
-    }
-
-
 def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
     """``count`` environments of the run, in processes of their own where that pays."""
     made = factories(config, count, **options)
@@ -117,7 +110,11 @@ def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
 def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
     """An untrained SB3 model of the run's algorithm and representation."""
     settings = config.hyperparameters.model_dump(exclude={"net_arch", "ortho_init"})
-    policy = {**_extractor(config), "net_arch": list(config.hyperparameters.net_arch)}
+    policy: dict[str, Any] = {
+        "features_extractor_class": SetExtractor,
+        "features_extractor_kwargs": _arguments(config),
+        "net_arch": list(config.hyperparameters.net_arch),
+    }
     if config.algo == "ppo":
         policy["ortho_init"] = config.ppo.ortho_init
     try:
