@@ -1,0 +1,241 @@
+"""Compiled policy steps in place of ``AbstractEnv._simulate``, on one environment."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.intersection_env import IntersectionEnv
+
+from esc_gym.fastsim import known
+from esc_gym.fastsim.network import Network, Unknown
+from esc_gym.fastsim.records import LINEAR, SAMPLE_COLUMNS
+from esc_gym.fastsim.traffic import Traffic
+
+UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, IndexError, struct.error)
+
+
+@dataclass(frozen=True)
+class Report:
+    """How the steps of one environment were simulated since it was accelerated.
+
+    compiled: policy steps that the compiled simulation ran.
+    stock: policy steps that highway-env's own code ran, by reason.
+    """
+
+    compiled: int
+    stock: dict[str, int] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        lines = [f"{self.compiled:,} policy steps compiled, {sum(self.stock.values()):,} stock"]
+        return "\n".join([*lines, *(f"  {count:,} stock: {why}" for why, count in self.stock.items())])
+
+
+@cache
+def machine() -> tuple[Any, np.ndarray | None, str]:
+    """(kernel module, numerics, ""), or why nothing can be compiled exactly on this machine."""
+    try:
+        same = known.source_digest() == known.SOURCE
+    except OSError:
+        same = False
+    if not same:
+        problem = "the installed highway-env is not the one that the kernels repeat"
+    else:
+        from esc_gym.fastsim.cache import load_kernel
+        from esc_gym.fastsim.numerics import measure
+
+        kernel = load_kernel()
+        numerics, problem = measure(kernel.check)
+        if numerics:
+            return kernel, np.array(numerics, np.int64), ""
+    warnings.warn(f"esc_gym: simulating with highway-env's own code: {problem}", stacklevel=2)
+    return None, None, problem
+
+
+class Simulation:
+    """Replaces ``_simulate`` on one environment, and the sub-steps of an intersection's reset.
+
+    A class and no closure, since environments are copied and pickled.
+    """
+
+    def __init__(self, env: Any) -> None:
+        self.env = env
+        self.compiled, self.stock = 0, Counter()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._traffic, self._network = Traffic(), None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"env": self.env, "compiled": self.compiled, "stock": self.stock}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._forget()
+
+    def __call__(self, action: Any = None) -> None:
+        """``AbstractEnv._simulate``."""
+        env = self.env
+        frames = int(env.config["simulation_frequency"] // env.config["policy_frequency"])
+        if problem := self._watched(frames):
+            self.stock[problem] += 1
+            type(env)._simulate(env, action)
+            return
+        if action is not None:
+            env.action_type.act(action)
+        try:
+            self._load(env.road)
+        except Unknown as problem:
+            self.stock[str(problem)] += 1
+            type(env)._simulate(env)  # the action is taken already
+            return
+        self._run(env.road, frames, 1 / env.config["simulation_frequency"])
+        env.steps += frames
+        env.enable_auto_render = False
+        self.compiled += 1
+
+    def _watched(self, frames: int) -> str:
+        """Why somebody has to see or steer the single sub-steps; "" if nobody does."""
+        env = self.env
+        if env.viewer is not None and env.enable_auto_render:
+            return "a viewer shows the sub-steps"
+        if env.config["manual_control"]:
+            return "manual control"
+        if frames < 1 or env.steps % frames:
+            return "policy steps that are not whole sub-steps"
+        return machine()[2]
+
+    def _load(self, road: Any) -> None:
+        try:
+            self._read(road)
+        except UNREADABLE as error:
+            raise Unknown(f"{type(error).__name__}: {error}") from error
+
+    def _read(self, road: Any) -> None:
+        """Everything into arrays; Unknown if anything cannot be simulated here."""
+        regulated = known.is_regulated(type(road))
+        if regulated is None or not known.RULES.isdisjoint(vars(road)):
+            raise Unknown(f"road {type(road).__name__} with rules of its own")
+        if road.record_history:
+            raise Unknown("trajectories are recorded")
+        if self._network is None or self._network.changed(road.network):
+            self._network = None
+            self._network = Network(road.network)
+            self._lon = self._lat = np.empty((0, 0))
+        if regulated and not self._network.all_limited:
+            raise Unknown("road rules on lanes without a speed limit")
+        self._regulated = regulated
+        self._traffic.gather(road, self._network, regulated)
+
+    def _run(self, road: Any, frames: int, dt: float) -> None:
+        """``frames`` times ``road.act(); road.step(dt)`` on what was loaded."""
+        kernel, numerics, _ = machine()
+        traffic, network = self._traffic, self._network
+        shape = (len(network.lanes), len(traffic.items))
+        if self._lon.shape != shape:
+            self._lon, self._lat = np.empty(shape), np.empty(shape)
+        rules_every, patience = 0, 0.0
+        if self._regulated:
+            rules_every = int(1 / dt / road.REGULATION_FREQUENCY)
+            patience = road.YIELD_DURATION * road.REGULATION_FREQUENCY
+        collecting = frames * traffic.kinds[: traffic.n].count(LINEAR)
+        samples = np.empty((collecting, SAMPLE_COLUMNS))
+        progress = np.zeros(4, np.int64)
+        links = network.links(bool(road.neighbour_vehicles_connected_lanes))
+        while True:
+            waiting = kernel.run(
+                traffic.records, network.records, self._lon, self._lat, *links, network.poses,
+                network.widths, traffic.routes, samples, numerics, traffic.n, progress, frames, dt,
+                rules_every, getattr(road, "steps", 0), patience,
+            )  # fmt: skip
+            if waiting == kernel.DONE:
+                break
+            traffic.follow_road(waiting)
+        traffic.scatter(samples[: progress[kernel.SAMPLES]])
+        if self._regulated:
+            road.steps += frames
+
+    def substep(self, road: Any, dt: float) -> None:
+        """``road.act(); road.step(dt)``."""
+        try:
+            self._load(road)
+        except Unknown:
+            type(road).act(road)
+            type(road).step(road, dt)
+        else:
+            self._run(road, 1, dt)
+
+
+class MakeVehicles:
+    """Replaces ``IntersectionEnv._make_vehicles``, which simulates three seconds of traffic."""
+
+    def __init__(self, env: Any, simulation: Simulation) -> None:
+        self.env, self.simulation = env, simulation
+
+    def __call__(self, *arguments: Any) -> None:
+        road = self.env.road
+        if machine()[2]:
+            type(self.env)._make_vehicles(self.env, *arguments)
+            return
+        # It calls road.act() and road.step(dt) in turn, and nothing in between.
+        road.act = lambda: None
+        road.step = lambda dt: self._substep(road, dt)
+        try:
+            type(self.env)._make_vehicles(self.env, *arguments)
+        finally:
+            del road.act, road.step
+
+    def _substep(self, road: Any, dt: float) -> None:
+        hooks = {name: vars(road).pop(name) for name in ("act", "step")}
+        self.simulation.substep(road, dt)
+        vars(road).update(hooks)
+
+
+def accelerate(env: Any) -> Any:
+    """Simulate ``env`` with compiled code, on exactly highway-env's trajectories.
+
+    Args:
+        env: any highway-env environment, wrapped or not, with any observation type.
+
+    Returns ``env`` itself. Only this instance changes; ``env.unwrapped`` stays the highway-env
+    environment that it was, for rendering, copying, and changing vehicles by hand. Whatever the
+    compiled simulation does not know, highway-env's own code simulates; ``report(env)`` says what.
+
+    Raises TypeError if ``env`` is not a highway-env environment.
+    """
+    base: Any = _base(env)
+    if isinstance(vars(base).get("_simulate"), Simulation):
+        return env
+    simulation = Simulation(base)
+    if type(base)._simulate is AbstractEnv._simulate:
+        base._simulate = simulation
+    else:
+        ...
+    made = getattr(type(base), "_make_vehicles", None)
+    if made is IntersectionEnv._make_vehicles:
+        base._make_vehicles = MakeVehicles(base, simulation)
+    return env
+
+
+def report(env: Any) -> Report:
+    """How the steps of ``env`` were simulated so far."""
+    simulation = vars(_base(env)).get("_simulate")
+    if not isinstance(simulation, Simulation):
+        return Report(0, {})
+    return Report(simulation.compiled, dict(simulation.stock))
+
+
+def _base(env: Any) -> AbstractEnv:
+    base = env.unwrapped
+    if not isinstance(base, AbstractEnv):
+        raise TypeError(
+            f"esc_gym.accelerate expected a highway-env environment, got {type(base).__name__}. "
+            'Make one with gym.make("highway-v0") after import highway_env.'
+        )
+    return base

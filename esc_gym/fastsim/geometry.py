@@ -1,0 +1,171 @@
+"""Lanes: local coordinates, headings, and which lane is the closest (``road/lane.py``).
+
+``s`` is the Scene everywhere, ``i`` a vehicle or object, ``k`` a lane.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from esc_gym.fastsim.numerics import binary, compiled, dot, unary, wrap_to_pi
+from esc_gym.fastsim.records import CIRCULAR, SINE, SPLINE, STRAIGHT
+
+VEHICLE_LENGTH = 5  # AbstractLane.VEHICLE_LENGTH
+
+
+@compiled
+def local_coordinates(s, k, x, y):
+    """``AbstractLane.local_coordinates`` of each lane class."""
+    lane = s.lanes[k]
+    if lane.kind == CIRCULAR:
+        dx, dy = x - lane.center_x, y - lane.center_y
+        phase = binary(s.np.arctan2, s.np.arctan2_data, dy, dx)
+        phase = lane.start_phase + wrap_to_pi(phase - lane.start_phase)
+        distance = sqrt(dot(s.np.dot, dx, dy, dx, dy))
+        longitudinal = lane.turn * (phase - lane.start_phase) * lane.radius
+        return longitudinal, lane.turn * (lane.radius - distance)
+    if lane.kind == SPLINE:
+        return spline_coordinates(s, k, x, y)
+    dx, dy = x - lane.start_x, y - lane.start_y
+    longitudinal = dot(s.np.dot, dx, dy, lane.direction_x, lane.direction_y)
+    lateral = dot(s.np.dot, dx, dy, lane.lateral_x, lane.lateral_y)
+    if lane.kind == SINE:
+        angle = lane.pulsation * longitudinal + lane.phase
+        lateral = lateral - lane.amplitude * unary(s.np.sin, s.np.sin_data, angle)
+    return longitudinal, lateral
+
+
+@compiled
+def spline_coordinates(s, k, x, y):
+    """``LinearSpline2D.cartesian_to_frenet``: the last sample that the point is not behind."""
+    first, count = s.lanes[k].poses, s.lanes[k].poses_count
+    for index in range(count - 1, -1, -1):
+        pose = s.poses[first + index]
+        dx, dy = x - pose[1], y - pose[2]
+        longitudinal = dot(s.np.dot, pose[3], pose[4], dx, dy)
+        if longitudinal >= 0 or index == 0:
+            lateral = dot(s.np.dot, pose[5], pose[6], dx, dy)
+            return (longitudinal if index == 0 else pose[0] + longitudinal), lateral
+    return np.nan, np.nan  # a spline has at least one sample
+
+
+@compiled
+def heading_at(s, k, longitudinal):
+    """``AbstractLane.heading_at``."""
+    lane = s.lanes[k]
+    if lane.kind == STRAIGHT:
+        return lane.heading
+    if lane.kind == CIRCULAR:
+        phase = lane.turn * longitudinal / lane.radius + lane.start_phase
+        return phase + np.pi / 2 * lane.turn
+    if lane.kind == SPLINE:
+        index = 0
+        while index < lane.poses_count and s.poses[lane.poses + index, 0] <= longitudinal:
+            index += 1
+        return s.poses[lane.poses + max(index - 1, 0), 7]
+    slope = unary(s.np.cos, s.np.cos_data, lane.pulsation * longitudinal + lane.phase)
+    slope = lane.amplitude * lane.pulsation * slope
+    return lane.heading + unary(s.np.arctan, s.np.arctan_data, slope)
+
+
+@compiled
+def width_at(s, k, longitudinal):
+    """``AbstractLane.width_at``."""
+    lane = s.lanes[k]
+    if lane.widths_count == 0:
+        return lane.width
+    if longitudinal < 0:
+        return s.widths[lane.widths]
+    index = min(np.int64(longitudinal), lane.widths_count - 1)
+    return s.widths[lane.widths + index]
+
+
+@compiled
+def position(s, k, longitudinal):
+    """``AbstractLane.position`` on the centre line (splines are not asked for it)."""
+    lane = s.lanes[k]
+    if lane.kind == CIRCULAR:
+        phase = lane.turn * longitudinal / lane.radius + lane.start_phase
+        x = lane.center_x + lane.radius * unary(s.np.cos, s.np.cos_data, phase)
+        return x, lane.center_y + lane.radius * unary(s.np.sin, s.np.sin_data, phase)
+    x = lane.start_x + longitudinal * lane.direction_x
+    y = lane.start_y + longitudinal * lane.direction_y
+    if lane.kind == SINE:
+        angle = lane.pulsation * longitudinal + lane.phase
+        lateral = lane.amplitude * unary(s.np.sin, s.np.sin_data, angle)
+        x, y = x + lateral * lane.lateral_x, y + lateral * lane.lateral_y
+    return x, y
+
+
+@compiled
+def on_lane(s, k, i, margin):
+    """``AbstractLane.on_lane``."""
+    longitudinal = s.lon[k, i]
+    return (
+        abs(s.lat[k, i]) <= width_at(s, k, longitudinal) / 2 + margin
+        and -VEHICLE_LENGTH <= longitudinal
+        and longitudinal < s.lanes[k].length + VEHICLE_LENGTH
+    )
+
+
+@compiled
+def is_reachable(s, k, i):
+    """``AbstractLane.is_reachable_from``."""
+    longitudinal = s.lon[k, i]
+    return (
+        not s.lanes[k].forbidden
+        and abs(s.lat[k, i]) <= 2 * width_at(s, k, longitudinal)
+        and 0 <= longitudinal
+        and longitudinal < s.lanes[k].length + VEHICLE_LENGTH
+    )
+
+
+@compiled
+def after_end(s, k, i):
+    """``AbstractLane.after_end``."""
+    return s.lon[k, i] > s.lanes[k].length - VEHICLE_LENGTH / 2
+
+
+@compiled
+def distance(s, k, i):
+    """``AbstractLane.distance``."""
+    longitudinal = s.lon[k, i]
+    beyond = max(longitudinal - s.lanes[k].length, 0.0)
+    return abs(s.lat[k, i]) + beyond + max(0 - longitudinal, 0.0)
+
+
+@compiled
+def distance_with_heading(s, k, i):
+    """``AbstractLane.distance_with_heading``."""
+    angle = abs(wrap_to_pi(s.vehicles[i].heading - heading_at(s, k, s.lon[k, i])))
+    return distance(s, k, i) + 1.0 * angle
+
+
+@compiled
+def locate(s, i):
+    """Everything that follows from a new position and heading, the lane excepted."""
+    vehicle = s.vehicles[i]
+    vehicle.cos = unary(s.np.cos, s.np.cos_data, vehicle.heading)
+    vehicle.sin = unary(s.np.sin, s.np.sin_data, vehicle.heading)
+    for k in range(len(s.lanes)):
+        s.lon[k, i], s.lat[k, i] = local_coordinates(s, k, vehicle.x, vehicle.y)
+
+
+@compiled
+def closest_lane(s, i):
+    """``RoadNetwork.get_closest_lane_index``: the first of the nearest lanes.
+
+    Starts with the present lane: most others are then further off without looking at headings,
+    since adding the angle to a distance cannot make it smaller, not even rounded.
+    """
+    best = s.vehicles[i].lane
+    least = distance_with_heading(s, best, i)
+    for k in range(len(s.lanes)):
+        if abs(s.lat[k, i]) > least or distance(s, k, i) > least:
+            continue
+        candidate = distance_with_heading(s, k, i)
+        if candidate < least or (candidate == least and k < best):
+            best, least = k, candidate
+    return best

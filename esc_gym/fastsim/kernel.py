@@ -1,0 +1,113 @@
+"""The two functions that Python calls: ``run`` a policy step, ``check`` the numerics.
+
+Only these are cached on disk; everything they call is compiled into them.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+from esc_gym.fastsim.collisions import collide_all, corner_offsets, rectangle
+from esc_gym.fastsim.driving import acts, collect, drive, ends_lane
+from esc_gym.fastsim.geometry import locate
+from esc_gym.fastsim.motion import step
+from esc_gym.fastsim.numerics import binary, compiled, dot, dot3, libm, unary, wrap_to_pi
+from esc_gym.fastsim.records import LINEAR, Numerics, Scene
+from esc_gym.fastsim.regulation import enforce_road_rules
+
+cached = njit(error_model="numpy", cache=True)
+DONE = -1
+# Entries of ``progress``.
+FRAME, VEHICLE, RESUMED, SAMPLES = range(4)
+
+
+@compiled
+def unpack(n):
+    """``Numerics`` of the integers that Python passes: a tuple would have to be typed each call."""
+    return Numerics(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], n[10], n[11],
+                    n[12], n[13], n[14], n[15], n[16], n[17])  # fmt: skip
+
+
+@compiled
+def act_all(s, progress):
+    """``Road.act``. The vehicle that needs Python to follow the road, or DONE."""
+    while progress[VEHICLE] < s.n:
+        i = progress[VEHICLE]
+        driver = s.vehicles[i]
+        if driver.kind == LINEAR and driver.collects and not progress[RESUMED]:
+            collect(s, i, progress[SAMPLES])
+            progress[SAMPLES] += 1
+        if acts(driver):
+            if not progress[RESUMED] and ends_lane(s, i):
+                progress[RESUMED] = 1
+                return i
+            drive(s, i)
+        progress[RESUMED] = 0
+        progress[VEHICLE] += 1
+    return DONE
+
+
+@cached
+def run(
+    vehicles, lanes, lon, lat, link_start, link_lane, link_offset, poses, widths, routes, samples,
+    numerics, n, progress, frames, dt, rules_every, road_steps, patience
+):  # fmt: skip
+    """Sub-steps until ``frames`` are done (DONE), or until a vehicle has to follow the road.
+
+    That vehicle's number is returned; call again after Python did it. ``progress`` starts as
+    zeros. rules_every: sub-steps between checks of the road rules, 0 for a plain road; road_steps
+    (``RegulatedRoad.steps``) and patience belong to them.
+    """
+    m = len(vehicles) - 1
+    s = Scene(vehicles, lanes, lon, lat, link_start, link_lane, link_offset, poses, widths, routes,
+              samples, n, m, unpack(numerics))  # fmt: skip
+    if progress[FRAME] == 0 and progress[VEHICLE] == 0 and not progress[RESUMED]:
+        for i in range(m):
+            locate(s, i)
+    while progress[FRAME] < frames:
+        waiting = act_all(s, progress)
+        if waiting != DONE:
+            return waiting
+        progress[FRAME] += 1
+        progress[VEHICLE] = 0
+        if rules_every > 0 and (road_steps + progress[FRAME]) % rules_every == 0:
+            enforce_road_rules(s, patience)
+        for i in range(n):
+            step(s, i, dt)
+        collide_all(s, dt)
+    return DONE
+
+
+@cached
+def check(numerics, inputs, outputs):
+    """What ``numerics._truth`` computes with NumPy, computed as the kernels do."""
+    np_ = unpack(numerics)
+    corners = np.empty((5, 2))
+    for row in range(len(inputs)):
+        angle, part, x, y, exponent = inputs[row]
+        out = outputs[row]
+        c, s = unary(np_.cos, np_.cos_data, angle), unary(np_.sin, np_.sin_data, angle)
+        out[0], out[1] = s, c
+        out[2] = unary(np_.tan, np_.tan_data, angle)
+        out[3] = unary(np_.arcsin, np_.arcsin_data, part)
+        out[4] = unary(np_.arctan, np_.arctan_data, x)
+        out[5] = binary(np_.arctan2, np_.arctan2_data, x, y)
+        out[6] = binary(np_.power, np_.power_data, abs(y), exponent)
+        out[7] = binary(np_.power, np_.power_data, x, 2.0)
+        out[8] = libm(np_.libm_pow, x, 2.0)
+        out[9] = wrap_to_pi(x)
+        out[10] = dot(np_.dot, x, y, part, angle)
+        out[11] = dot3(np_.dot, angle, part, exponent, x, y, part)
+        out[12] = sqrt(dot(np_.dot, x, y, x, y))
+        out[13] = dot(np_.matrix_vector, c, -s, x, y)
+        out[14] = dot(np_.matrix_vector, s, c, x, y)
+        rectangle(np_, 0.0, 0.0, x, y, c, s, corners)
+        for index in range(4):
+            out[15 + 2 * index], out[16 + 2 * index] = corners[index]
+        for index in range(9):
+            u, v = corner_offsets(index, x, y)
+            out[23 + 2 * index] = dot(np_.matrix_matrix, c, -s, u, v) + 0.0
+            out[24 + 2 * index] = dot(np_.matrix_matrix, s, c, u, v) + 0.0

@@ -1,0 +1,139 @@
+"""A road network as arrays, read once per network and watched for changes."""
+
+from __future__ import annotations
+
+import struct
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from esc_gym.fastsim.known import is_known_network, lane_kind
+from esc_gym.fastsim.records import (
+    CIRCULAR,
+    LANE,
+    LANE_FLOATS,
+    LANE_INTS,
+    POSE_COLUMNS,
+    SINE,
+    SPLINE,
+    STRAIGHT,
+)
+
+LaneIndex = tuple[str, str, int]
+_RECORD = struct.Struct(f"={len(LANE_FLOATS)}d{len(LANE_INTS)}q")
+_RULES = attrgetter("length", "speed_limit", "forbidden", "priority")
+
+
+class Unknown(Exception):
+    """Something that the kernels do not know; says what, and stock code runs instead."""
+
+
+class Network:
+    """``RoadNetwork`` for the kernels.
+
+    indexes: lane index of each of the L lanes; numbers: the other way round; records: LANE [L].
+    """
+
+    def __init__(self, network: Any) -> None:
+        if not is_known_network(type(network)):
+            raise Unknown(f"road network {type(network).__name__}")
+        self.network = network
+        self.indexes: list[LaneIndex] = list(network.lanes_dict())
+        self.lanes: list[Any] = network.lanes_list()
+        self.numbers = {index: number for number, index in enumerate(self.indexes)}
+        self.most_lanes = max((index[2] + 1 for index in self.indexes), default=0)
+        self.all_limited = all(lane.speed_limit is not None for lane in self.lanes)
+        self._rules = self._read_rules()
+        self.records = np.zeros(len(self.lanes), LANE)
+        self._poses: list[tuple[float, ...]] = []
+        self._widths: list[float] = []
+        for number, (index, lane) in enumerate(zip(self.indexes, self.lanes, strict=True)):
+            values = self._geometry(lane) | self._topology(index)
+            record = [values.get(name, 0) for name in (*LANE_FLOATS, *LANE_INTS)]
+            _RECORD.pack_into(self.records, number * LANE.itemsize, *record)
+        self.poses = np.array(self._poses, float).reshape(-1, len(POSE_COLUMNS))
+        self.widths = np.array(self._widths, float)
+        self._links: dict[bool, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    def _read_rules(self) -> list[tuple[Any, ...]]:
+        return list(map(_RULES, self.lanes))
+
+    def changed(self, network: Any) -> bool:
+        """Must ``network`` be read anew? Lanes added, limits or priorities edited, another one."""
+        if network is not self.network:
+            return True
+        return network.lanes_list() != self.lanes or self._read_rules() != self._rules
+
+    def lanes_of(self, road: tuple[str, str]) -> tuple[int, int]:
+        """(number of the first lane, count) of a road."""
+        return self.numbers[(*road, 0)], len(self.network.graph[road[0]][road[1]])
+
+    def _topology(self, index: LaneIndex) -> dict[str, Any]:
+        start, end, lane = index
+        first, count = self.lanes_of((start, end))
+        dead_end = end not in self.network.graph
+        return {"id": lane, "road": first, "count": count, "dead_end": dead_end}
+
+    def _geometry(self, lane: Any) -> dict[str, Any]:
+        kind = lane_kind(type(lane))
+        if kind is None:
+            raise Unknown(f"lane class {type(lane).__name__}")
+        limited = lane.speed_limit is not None
+        values = {
+            "kind": kind, "length": lane.length, "width": lane.width, "priority": lane.priority,
+            "forbidden": bool(lane.forbidden), "limited": limited,
+            "speed_limit": lane.speed_limit if limited else 0.0,
+        }  # fmt: skip
+        if kind in (STRAIGHT, SINE):
+            values["start_x"], values["start_y"] = lane.start
+            values["direction_x"], values["direction_y"] = lane.direction
+            values["lateral_x"], values["lateral_y"] = lane.direction_lateral
+            values["heading"] = lane.heading
+        if kind == SINE:
+            values |= {name: getattr(lane, name) for name in ("amplitude", "pulsation", "phase")}
+        if kind == CIRCULAR:
+            values["center_x"], values["center_y"] = lane.center
+            values |= {"radius": lane.radius, "start_phase": lane.start_phase}
+            values["turn"] = lane.direction
+        if kind == SPLINE:
+            values |= self._spline(lane)
+        return values
+
+    def _spline(self, lane: Any) -> dict[str, int]:
+        places = {"poses": len(self._poses), "widths": len(self._widths)}
+        for at, pose in zip(lane.curve.s_samples, lane.curve.poses, strict=True):
+            heading = np.arctan2(pose.normal[1], pose.normal[0])
+            self._poses.append((at, *pose.position, *pose.normal, *pose.orthonormal, heading))
+        self._widths += getattr(lane, "width_samples", [])
+        counts = {
+            "poses_count": len(self._poses) - places["poses"],
+            "widths_count": len(self._widths) - places["widths"],
+        }
+        return places | counts
+
+    def links(self, connected: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(starts [L + 1], lanes, offsets): where ``Road.neighbour_vehicles`` looks, per lane."""
+        if connected not in self._links:
+            per_lane = [self._links_of(index, connected) for index in self.indexes]
+            starts = np.cumsum([0, *map(len, per_lane)])
+            flat = [link for links in per_lane for link in links]
+            lanes = np.array([lane for lane, _ in flat], np.int64)
+            self._links[connected] = starts, lanes, np.array([offset for _, offset in flat], float)
+        return self._links[connected]
+
+    def _links_of(self, index: LaneIndex, connected: bool) -> list[tuple[int, float]]:
+        links = [(self.numbers[index], 0.0)]
+        if not connected:
+            return links
+        start, end, lane = index
+        graph = self.network.graph
+        for following, lanes in graph.get(end, {}).items():
+            if lanes:
+                number = self.numbers[end, following, lane if lane < len(lanes) else 0]
+                links.append((number, self.lanes[self.numbers[index]].length))
+        for before, roads in graph.items():
+            if roads.get(start):
+                number = self.numbers[before, start, lane if lane < len(roads[start]) else 0]
+                links.append((number, -self.lanes[number].length))
+        return links

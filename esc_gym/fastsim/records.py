@@ -1,0 +1,125 @@
+"""What the compiled simulation works on: one record per vehicle and object, one per lane.
+
+n vehicles, then the objects, m in all; L lanes. Every field is 8 bytes wide, so that ``struct`` can
+fill and read a record in one call. Units are highway-env's: m, s, rad.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+import numpy as np
+
+# Kinds of vehicles and objects, by the code that drives them.
+PLAIN, BICYCLE, CONTROLLED, MDP, IDM, LINEAR, OBSTACLE, LANDMARK = range(8)
+# Kinds of lanes.
+STRAIGHT, SINE, CIRCULAR, SPLINE = range(4)
+
+# What a simulation can change about a vehicle, read and written at every policy step.
+STATE_FLOATS = (
+    "x", "y", "heading", "speed", "steering", "acceleration", "target_speed", "timer",
+    "impact_x", "impact_y", "lateral_speed", "yaw_rate",
+)  # fmt: skip
+STATE_INTS = (
+    "lane", "target_lane", "crashed", "has_impact", "hit", "yielding", "yield_timer",
+    "route_length", "route_lane", "changed",
+)  # fmt: skip
+# What the driver and the body are like; rewritten only when it is found changed.
+TRAIT_FLOATS = (
+    "length", "width", "diagonal", "max_speed", "min_speed",
+    "kp_acceleration", "kp_heading", "kp_lateral", "tau_pursuit", "max_steering",
+    "acc_max", "comfort_max", "comfort_min", "distance_wanted", "time_wanted", "delta",
+    "politeness", "min_gain", "max_braking", "lane_change_delay",
+    "acceleration_0", "acceleration_1", "acceleration_2", "steering_0", "steering_1",
+    "mass", "length_a", "length_b", "inertia", "friction_front", "friction_rear", "max_yaw_rate",
+)  # fmt: skip
+TRAIT_INTS = (
+    "kind", "solid", "collidable", "checks_collisions", "changes_lanes", "collects", "coasts",
+)  # fmt: skip
+DERIVED = ("cos", "sin")
+
+# ``route_lane`` where the route leaves the lane open.
+NO_LANE = -(1 << 40)
+
+# Bits of ``changed``: what has to be written back beyond position, heading, speed and action.
+LANE_CHANGED, TARGET_CHANGED, CRASH, IMPACT, HIT, YIELD = (1 << bit for bit in range(6))
+
+VEHICLE = np.dtype(
+    [(name, "f8") for name in STATE_FLOATS]
+    + [(name, "i8") for name in STATE_INTS]
+    + [(name, "f8") for name in TRAIT_FLOATS]
+    + [(name, "i8") for name in TRAIT_INTS]
+    + [(name, "f8") for name in DERIVED]
+)
+STATE = struct.Struct(f"={len(STATE_FLOATS)}d{len(STATE_INTS)}q")
+TRAITS = struct.Struct(f"={len(TRAIT_FLOATS)}d{len(TRAIT_INTS)}q")
+
+LANE_FLOATS = (
+    "start_x", "start_y", "direction_x", "direction_y", "lateral_x", "lateral_y", "heading",
+    "amplitude", "pulsation", "phase", "center_x", "center_y", "radius", "start_phase", "turn",
+    "length", "width", "speed_limit", "priority",
+)  # fmt: skip
+LANE_INTS = (
+    "kind", "forbidden", "limited", "id", "road", "count", "dead_end",
+    "poses", "poses_count", "widths", "widths_count",
+)  # fmt: skip
+LANE = np.dtype([(name, "f8") for name in LANE_FLOATS] + [(name, "i8") for name in LANE_INTS])
+
+# One sampled point of a LinearSpline2D, and the heading of the lane after it.
+POSE_COLUMNS = ("s", "x", "y", "normal_x", "normal_y", "orthonormal_x", "orthonormal_y", "heading")
+# What LinearVehicle.collect_data stores at every sub-step, after the number of the vehicle.
+SAMPLE_COLUMNS = 8
+
+
+class Numerics(NamedTuple):
+    """How this machine's NumPy computes: its inner loops, and the rounding of its products.
+
+    ``<function>``, ``<function>_data``: address of NumPy's loop and of its data, as integers.
+    dot, matrix_vector, matrix_matrix: how a0*b0 + a1*b1 is rounded there (see numerics.py).
+    """
+
+    sin: int
+    sin_data: int
+    cos: int
+    cos_data: int
+    tan: int
+    tan_data: int
+    arcsin: int
+    arcsin_data: int
+    arctan: int
+    arctan_data: int
+    arctan2: int
+    arctan2_data: int
+    power: int
+    power_data: int
+    libm_pow: int
+    dot: int
+    matrix_vector: int
+    matrix_matrix: int
+
+
+class Scene(NamedTuple):
+    """Everything that the kernels read and write.
+
+    vehicles: VEHICLE [m + 1]; the last one is scratch. lanes: LANE [L].
+    lon, lat: [L, m] coordinates of everyone on every lane.
+    link_start [L + 1], link_lane, link_offset: the lanes searched for neighbours of a lane, itself
+    first. poses [P, 8], widths [W]: splines of all lanes. routes [m, R]: lanes ahead; -1 - road
+    where the lane's number is left open. samples [S, 8]: see SAMPLE_COLUMNS.
+    """
+
+    vehicles: np.ndarray
+    lanes: np.ndarray
+    lon: np.ndarray
+    lat: np.ndarray
+    link_start: np.ndarray
+    link_lane: np.ndarray
+    link_offset: np.ndarray
+    poses: np.ndarray
+    widths: np.ndarray
+    routes: np.ndarray
+    samples: np.ndarray
+    n: int
+    m: int
+    np: Numerics

@@ -1,0 +1,277 @@
+"""highway-env's vehicles as records and back: what a compiled policy step reads and writes.
+
+``gather`` never changes a vehicle, so that stock code can still run when it finds something
+unknown. ``scatter`` writes as ``Vehicle.step`` does: positions in place, everything else anew.
+"""
+
+from __future__ import annotations
+
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from esc_gym.fastsim.known import BEHAVIOUR, object_kind, vehicle_kind
+from esc_gym.fastsim.network import Network, Unknown
+from esc_gym.fastsim.records import (
+    BICYCLE,
+    CONTROLLED,
+    CRASH,
+    HIT,
+    IDM,
+    IMPACT,
+    LANDMARK,
+    LANE_CHANGED,
+    LINEAR,
+    MDP,
+    NO_LANE,
+    OBSTACLE,
+    PLAIN,
+    STATE,
+    STATE_FLOATS,
+    TARGET_CHANGED,
+    TRAIT_FLOATS,
+    TRAIT_INTS,
+    TRAITS,
+    VEHICLE,
+    YIELD,
+)
+
+SIZE = VEHICLE.itemsize
+FLOATS = (float, np.float64, int)
+DOUBLE = np.dtype(float)
+NOT_YIELDING = (0, 0)
+
+# Trait of the record: attribute of the vehicle, for the kinds that have it.
+_BODY = {
+    "length": "LENGTH", "width": "WIDTH", "diagonal": "diagonal",
+    "solid": "solid", "collidable": "collidable", "checks_collisions": "check_collisions",
+}  # fmt: skip
+_VEHICLE = {**_BODY, "max_speed": "MAX_SPEED", "min_speed": "MIN_SPEED", "coasts": "prediction_type"}
+_CONTROLLED = {
+    **_VEHICLE, "kp_acceleration": "KP_A", "kp_heading": "KP_HEADING", "kp_lateral": "KP_LATERAL",
+    "tau_pursuit": "TAU_PURSUIT", "max_steering": "MAX_STEERING_ANGLE",
+}  # fmt: skip
+_IDM = {
+    **_CONTROLLED, "acc_max": "ACC_MAX", "comfort_max": "COMFORT_ACC_MAX",
+    "comfort_min": "COMFORT_ACC_MIN", "distance_wanted": "DISTANCE_WANTED",
+    "time_wanted": "TIME_WANTED", "delta": "DELTA", "politeness": "POLITENESS",
+    "min_gain": "LANE_CHANGE_MIN_ACC_GAIN", "max_braking": "LANE_CHANGE_MAX_BRAKING_IMPOSED",
+    "lane_change_delay": "LANE_CHANGE_DELAY", "changes_lanes": "enable_lane_change",
+}  # fmt: skip
+_BICYCLE = {
+    **_VEHICLE, "mass": "MASS", "length_a": "LENGTH_A", "length_b": "LENGTH_B",
+    "inertia": "INERTIA_Z", "friction_front": "FRICTION_FRONT",
+    "friction_rear": "FRICTION_REAR", "max_yaw_rate": "MAX_ANGULAR_SPEED",
+}  # fmt: skip
+_LINEAR = {**_IDM, "collects": "collecting_data"}
+_COEFFICIENTS = (
+    "acceleration_0", "acceleration_1", "acceleration_2", "steering_0", "steering_1"
+)  # fmt: skip
+TRAITS_OF = {
+    PLAIN: _VEHICLE, BICYCLE: _BICYCLE, CONTROLLED: _CONTROLLED, MDP: _CONTROLLED, IDM: _IDM,
+    LINEAR: _LINEAR, OBSTACLE: _BODY, LANDMARK: _BODY,
+}  # fmt: skip
+_READ = {kind: attrgetter(*traits.values()) for kind, traits in TRAITS_OF.items()}
+_FLAGS = ("solid", "collidable", "checks_collisions", "changes_lanes", "collects")
+
+
+def _trait_record(kind: int, found: tuple[Any, ...]) -> list[Any]:
+    """What is packed into a record for the attributes of a vehicle or object."""
+    traits = dict(zip((*TRAITS_OF[kind], *_COEFFICIENTS), found, strict=False))
+    for name in _FLAGS:
+        traits[name] = bool(traits.get(name, False))
+    traits["kind"] = kind
+    traits["coasts"] = traits.get("coasts") == "zero_steering"
+    floats = [float(traits.get(name, 0.0)) for name in TRAIT_FLOATS]
+    if not np.isfinite(floats).all():
+        raise Unknown("a vehicle with NaN or infinite parameters")
+    if kind in (IDM, LINEAR) and not traits["comfort_max"] * traits["comfort_min"] < 0:
+        raise Unknown("an IDM vehicle whose comfort accelerations have the same sign")
+    return [*floats, *(traits[name] for name in TRAIT_INTS)]
+
+
+class Traffic:
+    """The vehicles and objects of one road as records [m + 1]; the last one is scratch."""
+
+    def __init__(self) -> None:
+        self.items: list[Any] = []
+        self.n = 0
+
+    def gather(self, road: Any, network: Network, regulated: bool) -> None:
+        """Read everything that a step depends on; Unknown where the kernels cannot go on."""
+        self.network = network
+        vehicles, objects = road.vehicles, road.objects
+        items = vehicles + objects
+        if items != self.items or len(vehicles) != self.n:
+            self._allocate(items, len(vehicles))
+        self.regulated = regulated
+        for i, item in enumerate(items):
+            if len(item.__dict__) != self._sizes[i]:
+                self._sizes[i] = self._checked_size(item)
+            kind = self.kinds[i]
+            found = _READ[kind](item)
+            if kind == LINEAR:
+                found += (*item.ACCELERATION_PARAMETERS, *item.STEERING_PARAMETERS)
+            if found != self._traits[i]:
+                TRAITS.pack_into(self.records, i * SIZE + STATE.size, *_trait_record(kind, found))
+                self._traits[i] = found
+            if i < self.n:
+                self._gather_vehicle(i, kind, item)
+            else:
+                self._gather_object(i, item)
+        if not np.isfinite(self._state).all():
+            raise Unknown("a vehicle with NaN or infinite state")
+
+    def _allocate(self, items: list[Any], n: int) -> None:
+        kinds = [(vehicle_kind if i < n else object_kind)(type(item)) for i, item in enumerate(items)]
+        for item, kind in zip(items, kinds, strict=True):
+            if kind is None:
+                raise Unknown(f"class {type(item).__name__}")
+        m = len(items)
+        self.n, self.items, self.kinds = n, items, kinds
+        self.records = np.zeros(m + 1, VEHICLE)
+        floats = self.records.view(float).reshape(m + 1, -1)
+        self._state = floats[:m, : len(STATE_FLOATS)]
+        self._traits: list[Any] = [None] * m
+        self._sizes = [self._checked_size(item) for item in items]
+        self.routes = np.zeros((m, 1), np.int64)
+
+    @staticmethod
+    def _checked_size(item: Any) -> int:
+        """The number of an item's own attributes, none of which replaces a method."""
+        if not BEHAVIOUR.isdisjoint(item.__dict__):
+            raise Unknown(f"a {type(item).__name__} with methods of its own")
+        return len(item.__dict__)
+
+    def _gather_object(self, i: int, item: Any) -> None:
+        d = item.__dict__
+        x, y = d["position"].tolist()
+        lane = self.network.numbers[d["lane_index"]]
+        STATE.pack_into(
+            self.records, i * SIZE,
+            x, y, d["heading"], d["speed"], 0, 0, 0, 0, 0, 0, 0, 0,
+            lane, lane, d["crashed"], 0, d["hit"], 0, 0, 0, NO_LANE, 0,
+        )  # fmt: skip
+
+    def _gather_vehicle(self, i: int, kind: int, vehicle: Any) -> None:
+        d = vehicle.__dict__
+        position, heading, speed, action = d["position"], d["heading"], d["speed"], d["action"]
+        if position.dtype is not DOUBLE or type(speed) not in FLOATS or type(heading) not in FLOATS:
+            raise Unknown("a vehicle state that is not float64")
+        x, y = position.tolist()
+        lane = self.network.numbers[d["lane_index"]]
+        if d["lane"] is not self.network.lanes[lane]:
+            raise Unknown("a vehicle whose lane is not that of its lane_index")
+        impact = d["impact"]
+        push_x, push_y = (0.0, 0.0) if impact is None else impact.tolist()
+        target, target_speed, timer, slip, yaw = lane, 0.0, 0.0, 0.0, 0.0
+        length, route_lane = 0, NO_LANE
+        yielding, yield_timer = NOT_YIELDING
+        if kind >= CONTROLLED:
+            target = self.network.numbers[d["target_lane_index"]]
+            target_speed = d["target_speed"]
+            if route := d["route"]:
+                length, route_lane = self._gather_route(i, route)
+            if kind >= IDM:
+                timer = d["timer"]
+            if "is_yielding" in d:
+                yielding, yield_timer = d["is_yielding"], d["yield_timer"]
+        elif kind == BICYCLE:
+            slip, yaw = d["lateral_speed"], d["yaw_rate"]
+        STATE.pack_into(
+            self.records, i * SIZE,
+            x, y, heading, speed, action["steering"], action["acceleration"], target_speed, timer,
+            push_x, push_y, slip, yaw,
+            lane, target, d["crashed"], impact is not None, d["hit"], yielding, yield_timer,
+            length, route_lane, 0,
+        )  # fmt: skip
+
+    def _gather_route(self, i: int, route: list[Any]) -> tuple[int, int]:
+        """(length, lane of its first step) of a route; the whole of it only where rules need it."""
+        if self.regulated:
+            if len(route) > self.routes.shape[1]:
+                wider = np.zeros((len(self.routes), len(route)), np.int64)
+                wider[:, : self.routes.shape[1]] = self.routes
+                self.routes = wider
+            for ahead, (start, end, lane) in enumerate(route):
+                if lane is None:
+                    first, count = self.network.lanes_of((start, end))
+                    if count < self.network.most_lanes:
+                        raise Unknown("an open route between roads of different numbers of lanes")
+                    self.routes[i, ahead] = -1 - first
+                else:
+                    self.routes[i, ahead] = self.network.numbers[start, end, lane]
+        lane = route[0][2]
+        return len(route), NO_LANE if lane is None else lane
+
+    def follow_road(self, i: int) -> None:
+        """Let vehicle i, in mid-step, change to the lane after its own, by stock code."""
+        vehicle, record = self.items[i], self.records[i]
+        vehicle.position[:] = record["x"], record["y"]
+        if record["changed"] & TARGET_CHANGED:
+            vehicle.target_lane_index = self.network.indexes[record["target_lane"]]
+            record["changed"] ^= TARGET_CHANGED
+        vehicle.follow_road()
+        record["target_lane"] = self.network.numbers[vehicle.target_lane_index]
+        length, lane = self._gather_route(i, vehicle.route) if vehicle.route else (0, NO_LANE)
+        record["route_length"], record["route_lane"] = length, lane
+
+    def scatter(self, samples: np.ndarray) -> None:
+        """Write a simulated step back to the vehicles; samples [S, 8]: LinearVehicle's data."""
+        for i, item in enumerate(self.items):
+            state = STATE.unpack_from(self.records, i * SIZE)
+            if i < self.n:
+                self._scatter_vehicle(self.kinds[i], item, state)
+            if state[-1]:
+                self._scatter_changes(item, state, state[-1])
+        for row in samples:
+            _append_sample(self.items[int(row[0])].data, row)
+
+    def _scatter_vehicle(self, kind: int, vehicle: Any, state: tuple[Any, ...]) -> None:
+        x, y, heading, speed, steering, acceleration, _, timer, _, _, slip, yaw = state[:12]
+        d = vehicle.__dict__
+        if kind == BICYCLE:
+            d["position"] = np.array((x, y))
+            d["lateral_speed"], d["yaw_rate"] = np.float64(slip), np.float64(yaw)
+        else:
+            position = d["position"]
+            position[0] = x
+            position[1] = y
+        d["heading"] = np.float64(heading)
+        d["speed"] = np.float64(speed) if type(d["speed"]) is np.float64 else speed
+        if kind >= CONTROLLED:
+            d["action"] = {"steering": steering, "acceleration": acceleration}
+        else:
+            d["action"]["steering"], d["action"]["acceleration"] = steering, acceleration
+        if kind >= IDM:
+            d["timer"] = timer
+
+    def _scatter_changes(self, item: Any, state: tuple[Any, ...], changed: int) -> None:
+        network, d = self.network, item.__dict__
+        lane, target, crashed, has_impact, hit, yielding, yield_timer = state[12:19]
+        if changed & LANE_CHANGED:
+            d["lane_index"], d["lane"] = network.indexes[lane], network.lanes[lane]
+        if changed & TARGET_CHANGED:
+            d["target_lane_index"] = network.indexes[target]
+        if changed & CRASH:
+            d["crashed"] = bool(crashed)
+        if changed & IMPACT:
+            d["impact"] = np.array(state[8:10]) if has_impact else None
+        if changed & HIT:
+            d["hit"] = bool(hit)
+        if changed & YIELD:
+            d["target_speed"] = 0 if yielding else state[6]
+            d["is_yielding"], d["yield_timer"] = bool(yielding), yield_timer
+            if yielding:
+                d["color"] = None
+            else:
+                d.pop("color", None)
+
+
+def _append_sample(data: dict[str, Any], row: np.ndarray) -> None:
+    """What ``LinearVehicle.add_features`` does."""
+    for name, features, output in (("longitudinal", row[1:4], row[4]), ("lateral", row[5:7], row[7])):
+        lists = data.setdefault(name, {"features": [], "outputs": []})
+        lists["features"].append(features.copy())
+        lists["outputs"].append(output)
