@@ -7,6 +7,7 @@ or Stable-Baselines3 load when first used.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from esc_gym.fastsim import accelerate
 from esc_gym.observation import SetObservation
 from esc_gym.registration import ENV_IDS, register_envs
 
@@ -35,7 +36,7 @@ _LAZY = {
     "AttentionExtractor": "esc_gym.extractors",
 }
 
-__all__ = ["ENV_IDS", "SetObservation", "__version__", *_LAZY]  # pyright: ignore
+__all__ = ["ENV_IDS", "SetObservation", "__version__", "accelerate", *_LAZY]  # pyright: ignore
 
 
 def __getattr__(name: str) -> Any:

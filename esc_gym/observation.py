@@ -8,12 +8,9 @@ from typing import Any, get_args
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
-from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 
-from esc_gym.behavior import Behavior, original_behavior
 from esc_gym.features import (
     DEFAULT_FEATURES,
     EGO_FEATURES,
@@ -22,6 +19,7 @@ from esc_gym.features import (
     Frame,
     Limits,
 )
+from esc_gym import fastsim
 from esc_gym.observation_type import (
     DefineSpaces,
     Empty,
@@ -66,6 +64,8 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
             occur. Vehicle values outside are not clipped but leave [-1, 1].
         empty: what M = 0 looks like: all rows zero, or one virtual vehicle far ahead (the paper's).
         on_overflow: ``"warn"`` once and keep the N nearest, or raise ``"error"``.
+        accelerate: simulate with compiled code on exactly highway-env's trajectories
+            (``esc_gym.accelerate``); False: with highway-env's own.
 
     Raises:
         TypeError: ``env`` is not a highway-env environment.
@@ -94,6 +94,7 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         ranges: Ranges | None = None,
         empty: Empty = "zeros",
         on_overflow: OnOverflow = "warn",
+        accelerate: bool = True,
     ) -> None:
         # Lists, not tuples, so that the spec survives JSON.
         RecordConstructorArgs.__init__(
@@ -107,6 +108,7 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
             ranges=ranges and {name: list(bounds) for name, bounds in ranges.items()},
             empty=empty,
             on_overflow=on_overflow,
+            accelerate=accelerate,
         )
         super().__init__(env)
         base = _single_agent(env)
@@ -125,7 +127,7 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
             limits=Limits.of(base.config, perception_distance),
         )
         self._install(base)
-        self._behavior = Behavior()
+        fastsim.isolate(base).enabled = accelerate
 
     def _install(self, base: Any) -> None:
         base.define_spaces = DefineSpaces(SetObservationType(base, self.set_spec))
@@ -150,11 +152,7 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         base: Any = self.unwrapped
         if seed is not None:
             base.observation_type.rng = np.random.default_rng([seed, 0x5E7])
-        vehicle_type: Any = utils.class_from_path(base.config["other_vehicles_type"])
-        with original_behavior(vehicle_type):
-            observation, info = self.env.reset(seed=seed, options=options)
-            self._behavior.learn({IDMVehicle, vehicle_type, *map(type, base.road.vehicles)})
-        self._behavior.pin(base.road.vehicles)
+        observation, info = self.env.reset(seed=seed, options=options)
         info["set"] = base.observation_type.info
         return observation, info
 
@@ -162,7 +160,6 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         """Step as highway-env does, with the set as observation and in ``info["set"]``."""
         base: Any = self.unwrapped
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self._behavior.pin(base.road.vehicles)
         info["set"] = base.observation_type.info
         # Some environments of highway-env return numpy.bool here, which SB3's checker refuses.
         return observation, reward, bool(terminated), bool(truncated), info

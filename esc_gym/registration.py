@@ -14,7 +14,7 @@ from gymnasium.envs.registration import load_env_creator
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
 
-from esc_gym.behavior import original_behavior
+from esc_gym.fastsim.behavior import original_behavior
 from esc_gym.observation import SetObservation
 from esc_gym.parking import WITHOUT_GOAL_KEYS
 

@@ -1,5 +1,5 @@
-"""The exact compiled simulation; see README.md beside this file."""
+"""highway-env's simulation, compiled, with the same trajectories to the last bit (see README.md)."""
 
-from esc_gym.fastsim.engine import Report, accelerate, report
+from esc_gym.fastsim.engine import Report, accelerate, isolate, report
 
-__all__ = ["Report", "accelerate", "report"]
+__all__ = ["Report", "accelerate", "isolate", "report"]

@@ -96,13 +96,13 @@ def push(vehicle, x, y):
 def collide(s, i, j, dt, a, b):
     """``RoadObject.handle_collisions`` of vehicle i with vehicle or object j; a, b: scratch."""
     one, other = s.vehicles[i], s.vehicles[j]
+    dx, dy = other.x - one.x, other.y - one.y
+    reach = (one.diagonal + other.diagonal) / 2 + one.speed * dt
+    if abs(dx) > reach + MARGIN or abs(dy) > reach + MARGIN:
+        return
     if not (one.checks_collisions or other.checks_collisions):
         return
     if not (one.collidable and other.collidable):
-        return
-    reach = (one.diagonal + other.diagonal) / 2 + one.speed * dt
-    dx, dy = other.x - one.x, other.y - one.y
-    if abs(dx) > reach + MARGIN or abs(dy) > reach + MARGIN:
         return
     if sqrt(dot(s.np.dot, dx, dy, dx, dy)) > reach:
         return

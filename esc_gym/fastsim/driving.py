@@ -10,7 +10,7 @@ from math import sqrt
 
 import numpy as np
 
-from esc_gym.fastsim.geometry import after_end, heading_at, is_reachable, on_lane
+from esc_gym.fastsim.geometry import after_end, heading_at, is_reachable
 from esc_gym.fastsim.numerics import (
     binary,
     clip,
@@ -26,7 +26,6 @@ from esc_gym.fastsim.records import (
     BICYCLE,
     CONTROLLED,
     IDM,
-    LANDMARK,
     LINEAR,
     NO_LANE,
     PLAIN,
@@ -45,20 +44,19 @@ def neighbours(s, i, k):
     """
     here = s.lon[k, i]
     front = rear = NOBODY
-    front_at = rear_at = 0.0
+    front_at, rear_at = np.inf, -np.inf
+    first, last = s.link_start[k], s.link_start[k + 1]
     for j in range(s.m):
-        if j == i or s.vehicles[j].kind == LANDMARK:
-            continue
-        for link in range(s.link_start[k], s.link_start[k + 1]):
-            lane = s.link_lane[link]
-            if not on_lane(s, lane, j, 1):
-                continue
-            there = s.lon[lane, j] + s.link_offset[link]
-            if here <= there and (front == NOBODY or there <= front_at):
-                front, front_at = j, there
-            if there < here and (rear == NOBODY or there > rear_at):
-                rear, rear_at = j, there
-            break
+        there = s.seats[k, j]
+        for link in range(first + 1, last):
+            if there == there:
+                break
+            there = s.seats[s.link_lane[link], j] + s.link_offset[link]
+        # NaN, for somebody on none of these lanes, is neither in front nor behind.
+        if here <= there and there <= front_at and j != i:
+            front, front_at = j, there
+        if there < here and there > rear_at and j != i:
+            rear, rear_at = j, there
     return front, rear
 
 

@@ -6,14 +6,17 @@ import struct
 import warnings
 from collections import Counter
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
+from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.intersection_env import IntersectionEnv
+from highway_env.vehicle.behavior import IDMVehicle
 
 from esc_gym.fastsim import known
+from esc_gym.fastsim.behavior import Behavior, original_behavior
 from esc_gym.fastsim.network import Network, Unknown
 from esc_gym.fastsim.records import LINEAR, SAMPLE_COLUMNS
 from esc_gym.fastsim.traffic import Traffic
@@ -59,13 +62,13 @@ def machine() -> tuple[Any, np.ndarray | None, str]:
 
 
 class Simulation:
-    """Replaces ``_simulate`` on one environment, and the sub-steps of an intersection's reset.
+    """Replaces ``_simulate`` on one environment. A class, since environments copy and pickle.
 
-    A class and no closure, since environments are copied and pickled.
+    enabled: compiled code is used where it can be; otherwise only the traffic is kept apart.
     """
 
     def __init__(self, env: Any) -> None:
-        self.env = env
+        self.env, self.enabled, self.behavior = env, False, Behavior()
         self.compiled, self.stock = 0, Counter()
         self._forget()
 
@@ -73,7 +76,8 @@ class Simulation:
         self._traffic, self._network = Traffic(), None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"env": self.env, "compiled": self.compiled, "stock": self.stock}
+        kept = ("env", "enabled", "behavior", "compiled", "stock")
+        return {name: vars(self)[name] for name in kept}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -82,8 +86,9 @@ class Simulation:
     def __call__(self, action: Any = None) -> None:
         """``AbstractEnv._simulate``."""
         env = self.env
+        self.behavior.pin(env.road.vehicles)
         frames = int(env.config["simulation_frequency"] // env.config["policy_frequency"])
-        if problem := self._watched(frames):
+        if problem := self._problem(frames):
             self.stock[problem] += 1
             type(env)._simulate(env, action)
             return
@@ -91,8 +96,8 @@ class Simulation:
             env.action_type.act(action)
         try:
             self._load(env.road)
-        except Unknown as problem:
-            self.stock[str(problem)] += 1
+        except Unknown as unknown:
+            self.stock[str(unknown)] += 1
             type(env)._simulate(env)  # the action is taken already
             return
         self._run(env.road, frames, 1 / env.config["simulation_frequency"])
@@ -100,9 +105,13 @@ class Simulation:
         env.enable_auto_render = False
         self.compiled += 1
 
-    def _watched(self, frames: int) -> str:
-        """Why somebody has to see or steer the single sub-steps; "" if nobody does."""
+    def _problem(self, frames: int) -> str:
+        """Why highway-env has to simulate this policy step itself; "" if it need not."""
         env = self.env
+        if not self.enabled:
+            return "acceleration is off"
+        if type(env)._simulate is not AbstractEnv._simulate:
+            return f"{type(env).__name__} has a _simulate of its own"
         if env.viewer is not None and env.enable_auto_render:
             return "a viewer shows the sub-steps"
         if env.config["manual_control"]:
@@ -127,7 +136,7 @@ class Simulation:
         if self._network is None or self._network.changed(road.network):
             self._network = None
             self._network = Network(road.network)
-            self._lon = self._lat = np.empty((0, 0))
+            self._tables = [np.empty((0, 0))] * 3
         if regulated and not self._network.all_limited:
             raise Unknown("road rules on lanes without a speed limit")
         self._regulated = regulated
@@ -138,8 +147,8 @@ class Simulation:
         kernel, numerics, _ = machine()
         traffic, network = self._traffic, self._network
         shape = (len(network.lanes), len(traffic.items))
-        if self._lon.shape != shape:
-            self._lon, self._lat = np.empty(shape), np.empty(shape)
+        if self._tables[0].shape != shape:
+            self._tables = [np.empty(shape) for _ in range(3)]
         rules_every, patience = 0, 0.0
         if self._regulated:
             rules_every = int(1 / dt / road.REGULATION_FREQUENCY)
@@ -150,7 +159,7 @@ class Simulation:
         links = network.links(bool(road.neighbour_vehicles_connected_lanes))
         while True:
             waiting = kernel.run(
-                traffic.records, network.records, self._lon, self._lat, *links, network.poses,
+                traffic.records, network.records, *self._tables, *links, network.poses,
                 network.widths, traffic.routes, samples, numerics, traffic.n, progress, frames, dt,
                 rules_every, getattr(road, "steps", 0), patience,
             )  # fmt: skip
@@ -172,6 +181,22 @@ class Simulation:
             self._run(road, 1, dt)
 
 
+class Reset:
+    """Replaces ``_reset``: the scene that a fresh process would make, whatever ran before."""
+
+    def __init__(self, env: Any, behavior: Behavior) -> None:
+        self.env, self.behavior = env, behavior
+
+    def __call__(self) -> None:
+        """``AbstractEnv._reset``."""
+        env = self.env
+        vehicle_type: Any = utils.class_from_path(env.config["other_vehicles_type"])
+        with original_behavior(vehicle_type):
+            type(env)._reset(env)
+            self.behavior.learn({IDMVehicle, vehicle_type, *map(type, env.road.vehicles)})
+        self.behavior.pin(env.road.vehicles)
+
+
 class MakeVehicles:
     """Replaces ``IntersectionEnv._make_vehicles``, which simulates three seconds of traffic."""
 
@@ -179,22 +204,35 @@ class MakeVehicles:
         self.env, self.simulation = env, simulation
 
     def __call__(self, *arguments: Any) -> None:
+        """``IntersectionEnv._make_vehicles``."""
         road = self.env.road
-        if machine()[2]:
-            type(self.env)._make_vehicles(self.env, *arguments)
-            return
-        # It calls road.act() and road.step(dt) in turn, and nothing in between.
-        road.act = lambda: None
-        road.step = lambda dt: self._substep(road, dt)
-        try:
-            type(self.env)._make_vehicles(self.env, *arguments)
-        finally:
-            del road.act, road.step
+        if self.simulation.enabled and not machine()[2]:
+            # It calls road.act() and road.step(dt) in turn, and nothing in between.
+            vars(road).update(act=_nothing, step=partial(self._substep, road))
+        type(self.env)._make_vehicles(self.env, *arguments)
+        for name in ("act", "step"):
+            vars(road).pop(name, None)
 
     def _substep(self, road: Any, dt: float) -> None:
         hooks = {name: vars(road).pop(name) for name in ("act", "step")}
         self.simulation.substep(road, dt)
         vars(road).update(hooks)
+
+
+def _nothing() -> None:
+    pass
+
+
+def isolate(env: Any) -> Simulation:
+    """Keep the traffic of ``env`` apart from other environments of the process, on stock code."""
+    base: Any = _base(env)
+    simulation = vars(base).get("_simulate")
+    if not isinstance(simulation, Simulation):
+        simulation = base._simulate = Simulation(base)
+        base._reset = Reset(base, simulation.behavior)
+        if getattr(type(base), "_make_vehicles", None) is IntersectionEnv._make_vehicles:
+            base._make_vehicles = MakeVehicles(base, simulation)
+    return simulation
 
 
 def accelerate(env: Any) -> Any:
@@ -206,20 +244,12 @@ def accelerate(env: Any) -> Any:
     Returns ``env`` itself. Only this instance changes; ``env.unwrapped`` stays the highway-env
     environment that it was, for rendering, copying, and changing vehicles by hand. Whatever the
     compiled simulation does not know, highway-env's own code simulates; ``report(env)`` says what.
+    From the next reset on, the trajectories are those of a fresh process (intersection-v0 changes
+    the drivers of every environment of a process).
 
     Raises TypeError if ``env`` is not a highway-env environment.
     """
-    base: Any = _base(env)
-    if isinstance(vars(base).get("_simulate"), Simulation):
-        return env
-    simulation = Simulation(base)
-    if type(base)._simulate is AbstractEnv._simulate:
-        base._simulate = simulation
-    else:
-        ...
-    made = getattr(type(base), "_make_vehicles", None)
-    if made is IntersectionEnv._make_vehicles:
-        base._make_vehicles = MakeVehicles(base, simulation)
+    isolate(env).enabled = True
     return env
 
 

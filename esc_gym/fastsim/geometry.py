@@ -10,7 +10,7 @@ from math import sqrt
 import numpy as np
 
 from esc_gym.fastsim.numerics import binary, compiled, dot, unary, wrap_to_pi
-from esc_gym.fastsim.records import CIRCULAR, SINE, SPLINE, STRAIGHT
+from esc_gym.fastsim.records import CIRCULAR, LANDMARK, SINE, SPLINE, STRAIGHT
 
 VEHICLE_LENGTH = 5  # AbstractLane.VEHICLE_LENGTH
 
@@ -149,8 +149,10 @@ def locate(s, i):
     vehicle = s.vehicles[i]
     vehicle.cos = unary(s.np.cos, s.np.cos_data, vehicle.heading)
     vehicle.sin = unary(s.np.sin, s.np.sin_data, vehicle.heading)
+    neighbour = vehicle.kind != LANDMARK
     for k in range(len(s.lanes)):
         s.lon[k, i], s.lat[k, i] = local_coordinates(s, k, vehicle.x, vehicle.y)
+        s.seats[k, i] = s.lon[k, i] if neighbour and on_lane(s, k, i, 1) else np.nan
 
 
 @compiled

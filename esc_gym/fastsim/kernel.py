@@ -14,7 +14,7 @@ from esc_gym.fastsim.collisions import collide_all, corner_offsets, rectangle
 from esc_gym.fastsim.driving import acts, collect, drive, ends_lane
 from esc_gym.fastsim.geometry import locate
 from esc_gym.fastsim.motion import step
-from esc_gym.fastsim.numerics import binary, compiled, dot, dot3, libm, unary, wrap_to_pi
+from esc_gym.fastsim.numerics import binary, borrowed, compiled, dot, dot3, libm, unary, wrap_to_pi
 from esc_gym.fastsim.records import LINEAR, Numerics, Scene
 from esc_gym.fastsim.regulation import enforce_road_rules
 
@@ -52,8 +52,8 @@ def act_all(s, progress):
 
 @cached
 def run(
-    vehicles, lanes, lon, lat, link_start, link_lane, link_offset, poses, widths, routes, samples,
-    numerics, n, progress, frames, dt, rules_every, road_steps, patience
+    vehicles, lanes, lon, lat, seats, link_start, link_lane, link_offset, poses, widths, routes,
+    samples, numerics, n, progress, frames, dt, rules_every, road_steps, patience
 ):  # fmt: skip
     """Sub-steps until ``frames`` are done (DONE), or until a vehicle has to follow the road.
 
@@ -62,8 +62,11 @@ def run(
     (``RegulatedRoad.steps``) and patience belong to them.
     """
     m = len(vehicles) - 1
-    s = Scene(vehicles, lanes, lon, lat, link_start, link_lane, link_offset, poses, widths, routes,
-              samples, n, m, unpack(numerics))  # fmt: skip
+    s = Scene(
+        borrowed(vehicles), borrowed(lanes), borrowed(lon), borrowed(lat), borrowed(seats),
+        borrowed(link_start), borrowed(link_lane), borrowed(link_offset), borrowed(poses),
+        borrowed(widths), borrowed(routes), borrowed(samples), n, m, unpack(numerics),
+    )  # fmt: skip
     if progress[FRAME] == 0 and progress[VEHICLE] == 0 and not progress[RESUMED]:
         for i in range(m):
             locate(s, i)

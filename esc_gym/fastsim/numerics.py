@@ -21,7 +21,7 @@ from highway_env import utils
 
 from esc_gym.fastsim.records import Numerics
 
-compiled = njit(error_model="numpy")
+compiled = njit(error_model="numpy", forceinline=True)
 FUNCTIONS = ("sin", "cos", "tan", "arcsin", "arctan", "arctan2", "power")
 # How a0*b0 + a1*b1 may be rounded: both products, the first one only, the second one only.
 PLAIN, FUSED_SECOND, FUSED_FIRST = range(3)
@@ -90,6 +90,19 @@ def fused(typing_context, x, y, z):  # type: ignore[no-untyped-def]
         return builder.fma(*arguments)
 
     return types.float64(types.float64, types.float64, types.float64), generate
+
+
+@intrinsic
+def borrowed(typing_context, array):  # type: ignore[no-untyped-def]
+    """The same array, not counted as a reference: counting costs more than most of the kernels."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        view = context.make_array(signature.args[0])(context, builder, arguments[0])
+        view.meminfo = cgutils.get_null_value(view.meminfo.type)
+        view.parent = cgutils.get_null_value(view.parent.type)
+        return view._getvalue()
+
+    return array(array), generate
 
 
 @compiled

@@ -103,7 +103,8 @@ class Scene(NamedTuple):
     """Everything that the kernels read and write.
 
     vehicles: VEHICLE [m + 1]; the last one is scratch. lanes: LANE [L].
-    lon, lat: [L, m] coordinates of everyone on every lane.
+    lon, lat: [L, m] coordinates of everyone on every lane. seats [L, m]: lon of those who stand on
+    the lane and can be somebody's neighbour, NaN for the others.
     link_start [L + 1], link_lane, link_offset: the lanes searched for neighbours of a lane, itself
     first. poses [P, 8], widths [W]: splines of all lanes. routes [m, R]: lanes ahead; -1 - road
     where the lane's number is left open. samples [S, 8]: see SAMPLE_COLUMNS.
@@ -113,6 +114,7 @@ class Scene(NamedTuple):
     lanes: np.ndarray
     lon: np.ndarray
     lat: np.ndarray
+    seats: np.ndarray
     link_start: np.ndarray
     link_lane: np.ndarray
     link_offset: np.ndarray

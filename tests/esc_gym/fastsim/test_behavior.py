@@ -12,7 +12,7 @@ import pytest
 from highway_env.vehicle import behavior
 from highway_env.vehicle.behavior import AggressiveVehicle, IDMVehicle
 
-from esc_gym.behavior import PARAMETERS, original_behavior
+from esc_gym.fastsim.behavior import PARAMETERS, original_behavior
 
 
 def positions(env, seed=7, steps=6):
