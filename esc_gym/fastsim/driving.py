@@ -10,7 +10,7 @@ from math import sqrt
 
 import numpy as np
 
-from esc_gym.fastsim.geometry import after_end, heading_at, is_reachable
+from esc_gym.fastsim.geometry import after_end, along, heading_at, is_reachable
 from esc_gym.fastsim.numerics import (
     binary,
     clip,
@@ -42,7 +42,7 @@ def neighbours(s, i, k):
     A lane's links are itself alone, or with neighbour_vehicles_connected_lanes those before and
     after it; a vehicle counts on the first of them that it stands on.
     """
-    here = s.lon[k, i]
+    here = along(s, k, i)
     front = rear = NOBODY
     front_at, rear_at = np.inf, -np.inf
     first, last = s.link_start[k], s.link_start[k + 1]
@@ -64,7 +64,7 @@ def neighbours(s, i, k):
 def lane_distance(s, ego, other):
     """``RoadObject.lane_distance_to`` along the lane of ``ego``."""
     lane = s.vehicles[ego].lane
-    return s.lon[lane, other] - s.lon[lane, ego]
+    return along(s, lane, other) - along(s, lane, ego)
 
 
 @compiled
@@ -145,9 +145,10 @@ def mobil(s, i, k):
     if new_rear_after < -driver.max_braking:
         return False
     mine_after = acceleration(s, i, i, new_front)
-    if driver.route_length > 0 and driver.route_lane != NO_LANE:
+    planned = s.routes[i, driver.route_taken, 1] if driver.route_length > 0 else NO_LANE
+    if planned != NO_LANE:
         target = s.lanes[driver.target_lane].id
-        if sign(s.lanes[k].id - target) != sign(driver.route_lane - target):
+        if sign(s.lanes[k].id - target) != sign(planned - target):
             return False
         return not mine_after < -driver.max_braking
     old_front, old_rear = neighbours(s, i, driver.lane)
@@ -208,7 +209,7 @@ def pursuit_steering(s, i):
     driver = s.vehicles[i]
     k = driver.target_lane
     speed = not_zero(driver.speed)
-    ahead = heading_at(s, k, s.lon[k, i] + driver.speed * driver.tau_pursuit)
+    ahead = heading_at(s, k, along(s, k, i) + driver.speed * driver.tau_pursuit)
     command = clip(-driver.kp_lateral * s.lat[k, i] / speed, -1.0, 1.0)
     command = unary(s.np.arcsin, s.np.arcsin_data, command)
     reference = ahead + clip(command, -np.pi / 4, np.pi / 4)
@@ -226,7 +227,7 @@ def steering_features(s, i):
     driver = s.vehicles[i]
     k = driver.target_lane
     speed = not_zero(driver.speed)
-    ahead = heading_at(s, k, s.lon[k, i] + driver.speed * driver.tau_pursuit)
+    ahead = heading_at(s, k, along(s, k, i) + driver.speed * driver.tau_pursuit)
     turn = wrap_to_pi(ahead - driver.heading) * driver.length / speed
     return turn, -s.lat[k, i] * driver.length / libm(s.np.libm_pow, speed, 2.0)
 
@@ -253,14 +254,6 @@ def collect(s, i, sample):
     row[4] = dot3(s.np.dot, p0, p1, p2, f0, f1, f2)
     row[5], row[6] = g0, g1
     row[7] = dot(s.np.dot, driver.steering_0, driver.steering_1, g0, g1)
-
-
-@compiled
-def ends_lane(s, i):
-    """Would ``ControlledVehicle.follow_road`` do something? Only Python knows routes."""
-    driver = s.vehicles[i]
-    open_end = driver.route_length > 0 or not s.lanes[driver.target_lane].dead_end
-    return open_end and after_end(s, driver.target_lane, i)
 
 
 @compiled

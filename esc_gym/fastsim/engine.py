@@ -159,9 +159,9 @@ class Simulation:
         links = network.links(bool(road.neighbour_vehicles_connected_lanes))
         while True:
             waiting = kernel.run(
-                traffic.records, network.records, *self._tables, *links, network.poses,
-                network.widths, traffic.routes, samples, numerics, traffic.n, progress, frames, dt,
-                rules_every, getattr(road, "steps", 0), patience,
+                traffic.records, network.records, *self._tables, *links, network.exits,
+                network.poses, network.widths, traffic.routes, samples, numerics, traffic.n,
+                progress, frames, dt, rules_every, getattr(road, "steps", 0), patience,
             )  # fmt: skip
             if waiting == kernel.DONE:
                 break

@@ -16,16 +16,29 @@ VEHICLE_LENGTH = 5  # AbstractLane.VEHICLE_LENGTH
 
 
 @compiled
+def circular_lateral(s, k, x, y):
+    """The second of ``CircularLane.local_coordinates``."""
+    lane = s.lanes[k]
+    dx, dy = x - lane.center_x, y - lane.center_y
+    return lane.turn * (lane.radius - sqrt(dot(s.np.dot, dx, dy, dx, dy)))
+
+
+@compiled
+def circular_longitudinal(s, k, x, y):
+    """The first of ``CircularLane.local_coordinates``."""
+    lane = s.lanes[k]
+    dx, dy = x - lane.center_x, y - lane.center_y
+    phase = binary(s.np.arctan2, s.np.arctan2_data, dy, dx)
+    phase = lane.start_phase + wrap_to_pi(phase - lane.start_phase)
+    return lane.turn * (phase - lane.start_phase) * lane.radius
+
+
+@compiled
 def local_coordinates(s, k, x, y):
     """``AbstractLane.local_coordinates`` of each lane class."""
     lane = s.lanes[k]
     if lane.kind == CIRCULAR:
-        dx, dy = x - lane.center_x, y - lane.center_y
-        phase = binary(s.np.arctan2, s.np.arctan2_data, dy, dx)
-        phase = lane.start_phase + wrap_to_pi(phase - lane.start_phase)
-        distance = sqrt(dot(s.np.dot, dx, dy, dx, dy))
-        longitudinal = lane.turn * (phase - lane.start_phase) * lane.radius
-        return longitudinal, lane.turn * (lane.radius - distance)
+        return circular_longitudinal(s, k, x, y), circular_lateral(s, k, x, y)
     if lane.kind == SPLINE:
         return spline_coordinates(s, k, x, y)
     dx, dy = x - lane.start_x, y - lane.start_y
@@ -35,6 +48,16 @@ def local_coordinates(s, k, x, y):
         angle = lane.pulsation * longitudinal + lane.phase
         lateral = lateral - lane.amplitude * unary(s.np.sin, s.np.sin_data, angle)
     return longitudinal, lateral
+
+
+@compiled
+def along(s, k, i):
+    """Longitudinal coordinate of vehicle i on lane k."""
+    longitudinal = s.lon[k, i]
+    if longitudinal != longitudinal:
+        longitudinal = circular_longitudinal(s, k, s.vehicles[i].x, s.vehicles[i].y)
+        s.lon[k, i] = longitudinal
+    return longitudinal
 
 
 @compiled
@@ -102,18 +125,21 @@ def position(s, k, longitudinal):
 @compiled
 def on_lane(s, k, i, margin):
     """``AbstractLane.on_lane``."""
-    longitudinal = s.lon[k, i]
+    length = s.lanes[k].length
+    if s.lanes[k].widths_count == 0 and abs(s.lat[k, i]) > s.lanes[k].width / 2 + margin:
+        return False
+    longitudinal = along(s, k, i)
     return (
         abs(s.lat[k, i]) <= width_at(s, k, longitudinal) / 2 + margin
         and -VEHICLE_LENGTH <= longitudinal
-        and longitudinal < s.lanes[k].length + VEHICLE_LENGTH
+        and longitudinal < length + VEHICLE_LENGTH
     )
 
 
 @compiled
 def is_reachable(s, k, i):
     """``AbstractLane.is_reachable_from``."""
-    longitudinal = s.lon[k, i]
+    longitudinal = along(s, k, i)
     return (
         not s.lanes[k].forbidden
         and abs(s.lat[k, i]) <= 2 * width_at(s, k, longitudinal)
@@ -125,34 +151,36 @@ def is_reachable(s, k, i):
 @compiled
 def after_end(s, k, i):
     """``AbstractLane.after_end``."""
-    return s.lon[k, i] > s.lanes[k].length - VEHICLE_LENGTH / 2
+    return along(s, k, i) > s.lanes[k].length - VEHICLE_LENGTH / 2
 
 
 @compiled
-def distance(s, k, i):
-    """``AbstractLane.distance``."""
-    longitudinal = s.lon[k, i]
-    beyond = max(longitudinal - s.lanes[k].length, 0.0)
-    return abs(s.lat[k, i]) + beyond + max(0 - longitudinal, 0.0)
+def l1_distance(lane, longitudinal, lateral):
+    """``AbstractLane.distance`` at local coordinates."""
+    return abs(lateral) + max(longitudinal - lane.length, 0.0) + max(0 - longitudinal, 0.0)
 
 
 @compiled
 def distance_with_heading(s, k, i):
     """``AbstractLane.distance_with_heading``."""
-    angle = abs(wrap_to_pi(s.vehicles[i].heading - heading_at(s, k, s.lon[k, i])))
-    return distance(s, k, i) + 1.0 * angle
+    longitudinal = along(s, k, i)
+    angle = abs(wrap_to_pi(s.vehicles[i].heading - heading_at(s, k, longitudinal)))
+    return l1_distance(s.lanes[k], longitudinal, s.lat[k, i]) + 1.0 * angle
 
 
 @compiled
 def locate(s, i):
-    """Everything that follows from a new position and heading, the lane excepted."""
+    """Everything that follows from a new position and heading, the vehicle's lane excepted."""
     vehicle = s.vehicles[i]
     vehicle.cos = unary(s.np.cos, s.np.cos_data, vehicle.heading)
     vehicle.sin = unary(s.np.sin, s.np.sin_data, vehicle.heading)
     neighbour = vehicle.kind != LANDMARK
     for k in range(len(s.lanes)):
-        s.lon[k, i], s.lat[k, i] = local_coordinates(s, k, vehicle.x, vehicle.y)
-        s.seats[k, i] = s.lon[k, i] if neighbour and on_lane(s, k, i, 1) else np.nan
+        if s.lanes[k].kind == CIRCULAR:
+            s.lon[k, i], s.lat[k, i] = np.nan, circular_lateral(s, k, vehicle.x, vehicle.y)
+        else:
+            s.lon[k, i], s.lat[k, i] = local_coordinates(s, k, vehicle.x, vehicle.y)
+        s.seats[k, i] = along(s, k, i) if neighbour and on_lane(s, k, i, 1) else np.nan
 
 
 @compiled
@@ -165,7 +193,8 @@ def closest_lane(s, i):
     best = s.vehicles[i].lane
     least = distance_with_heading(s, best, i)
     for k in range(len(s.lanes)):
-        if abs(s.lat[k, i]) > least or distance(s, k, i) > least:
+        lateral = s.lat[k, i]
+        if abs(lateral) > least or l1_distance(s.lanes[k], along(s, k, i), lateral) > least:
             continue
         candidate = distance_with_heading(s, k, i)
         if candidate < least or (candidate == least and k < best):

@@ -11,12 +11,13 @@ import numpy as np
 from numba import njit
 
 from esc_gym.fastsim.collisions import collide_all, corner_offsets, rectangle
-from esc_gym.fastsim.driving import acts, collect, drive, ends_lane
+from esc_gym.fastsim.driving import acts, collect, drive
 from esc_gym.fastsim.geometry import locate
 from esc_gym.fastsim.motion import step
 from esc_gym.fastsim.numerics import binary, borrowed, compiled, dot, dot3, libm, unary, wrap_to_pi
 from esc_gym.fastsim.records import LINEAR, Numerics, Scene
 from esc_gym.fastsim.regulation import enforce_road_rules
+from esc_gym.fastsim.routes import ASK_PYTHON, follow_road
 
 cached = njit(error_model="numpy", cache=True)
 DONE = -1
@@ -41,7 +42,7 @@ def act_all(s, progress):
             collect(s, i, progress[SAMPLES])
             progress[SAMPLES] += 1
         if acts(driver):
-            if not progress[RESUMED] and ends_lane(s, i):
+            if not progress[RESUMED] and follow_road(s, i) == ASK_PYTHON:
                 progress[RESUMED] = 1
                 return i
             drive(s, i)
@@ -52,8 +53,8 @@ def act_all(s, progress):
 
 @cached
 def run(
-    vehicles, lanes, lon, lat, seats, link_start, link_lane, link_offset, poses, widths, routes,
-    samples, numerics, n, progress, frames, dt, rules_every, road_steps, patience
+    vehicles, lanes, lon, lat, seats, link_start, link_lane, link_offset, exits, poses, widths,
+    routes, samples, numerics, n, progress, frames, dt, rules_every, road_steps, patience
 ):  # fmt: skip
     """Sub-steps until ``frames`` are done (DONE), or until a vehicle has to follow the road.
 
@@ -64,8 +65,8 @@ def run(
     m = len(vehicles) - 1
     s = Scene(
         borrowed(vehicles), borrowed(lanes), borrowed(lon), borrowed(lat), borrowed(seats),
-        borrowed(link_start), borrowed(link_lane), borrowed(link_offset), borrowed(poses),
-        borrowed(widths), borrowed(routes), borrowed(samples), n, m, unpack(numerics),
+        borrowed(link_start), borrowed(link_lane), borrowed(link_offset), borrowed(exits),
+        borrowed(poses), borrowed(widths), borrowed(routes), borrowed(samples), n, m, unpack(numerics),
     )  # fmt: skip
     if progress[FRAME] == 0 and progress[VEHICLE] == 0 and not progress[RESUMED]:
         for i in range(m):

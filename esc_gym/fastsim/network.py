@@ -48,12 +48,14 @@ class Network:
         self.records = np.zeros(len(self.lanes), LANE)
         self._poses: list[tuple[float, ...]] = []
         self._widths: list[float] = []
+        self._exits: list[int] = []
         for number, (index, lane) in enumerate(zip(self.indexes, self.lanes, strict=True)):
             values = self._geometry(lane) | self._topology(index)
             record = [values.get(name, 0) for name in (*LANE_FLOATS, *LANE_INTS)]
             _RECORD.pack_into(self.records, number * LANE.itemsize, *record)
         self.poses = np.array(self._poses, float).reshape(-1, len(POSE_COLUMNS))
         self.widths = np.array(self._widths, float)
+        self.exits = np.array(self._exits, np.int64)
         self._links: dict[bool, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
     def _read_rules(self) -> list[tuple[Any, ...]]:
@@ -65,15 +67,13 @@ class Network:
             return True
         return network.lanes_list() != self.lanes or self._read_rules() != self._rules
 
-    def lanes_of(self, road: tuple[str, str]) -> tuple[int, int]:
-        """(number of the first lane, count) of a road."""
-        return self.numbers[(*road, 0)], len(self.network.graph[road[0]][road[1]])
-
     def _topology(self, index: LaneIndex) -> dict[str, Any]:
         start, end, lane = index
-        first, count = self.lanes_of((start, end))
-        dead_end = end not in self.network.graph
-        return {"id": lane, "road": first, "count": count, "dead_end": dead_end}
+        first, count = self.numbers[start, end, 0], len(self.network.graph[start][end])
+        exits = [self.numbers[end, after, 0] for after in self.network.graph.get(end, {})]
+        self._exits += exits
+        places = {"exits": len(self._exits) - len(exits), "exits_count": len(exits)}
+        return {"id": lane, "road": first, "count": count, **places}
 
     def _geometry(self, lane: Any) -> dict[str, Any]:
         kind = lane_kind(type(lane))

@@ -23,7 +23,7 @@ STATE_FLOATS = (
 )  # fmt: skip
 STATE_INTS = (
     "lane", "target_lane", "crashed", "has_impact", "hit", "yielding", "yield_timer",
-    "route_length", "route_lane", "changed",
+    "route_length", "route_taken", "changed",
 )  # fmt: skip
 # What the driver and the body are like; rewritten only when it is found changed.
 TRAIT_FLOATS = (
@@ -39,8 +39,8 @@ TRAIT_INTS = (
 )  # fmt: skip
 DERIVED = ("cos", "sin")
 
-# ``route_lane`` where the route leaves the lane open.
-NO_LANE = -(1 << 40)
+# In routes: a road that is not in the network, and a lane that the route leaves open.
+NO_ROAD, NO_LANE = -1, -(1 << 40)
 
 # Bits of ``changed``: what has to be written back beyond position, heading, speed and action.
 LANE_CHANGED, TARGET_CHANGED, CRASH, IMPACT, HIT, YIELD = (1 << bit for bit in range(6))
@@ -61,7 +61,7 @@ LANE_FLOATS = (
     "length", "width", "speed_limit", "priority",
 )  # fmt: skip
 LANE_INTS = (
-    "kind", "forbidden", "limited", "id", "road", "count", "dead_end",
+    "kind", "forbidden", "limited", "id", "road", "count", "exits", "exits_count",
     "poses", "poses_count", "widths", "widths_count",
 )  # fmt: skip
 LANE = np.dtype([(name, "f8") for name in LANE_FLOATS] + [(name, "i8") for name in LANE_INTS])
@@ -103,11 +103,12 @@ class Scene(NamedTuple):
     """Everything that the kernels read and write.
 
     vehicles: VEHICLE [m + 1]; the last one is scratch. lanes: LANE [L].
-    lon, lat: [L, m] coordinates of everyone on every lane. seats [L, m]: lon of those who stand on
-    the lane and can be somebody's neighbour, NaN for the others.
+    lon, lat: [L, m] coordinates of everyone on every lane; lon is NaN where nobody asked for it
+    yet. seats [L, m]: lon of those who stand on the lane and can be somebody's neighbour, else NaN.
     link_start [L + 1], link_lane, link_offset: the lanes searched for neighbours of a lane, itself
-    first. poses [P, 8], widths [W]: splines of all lanes. routes [m, R]: lanes ahead; -1 - road
-    where the lane's number is left open. samples [S, 8]: see SAMPLE_COLUMNS.
+    first. exits: first lanes of the roads that start where a lane ends, all lanes' together.
+    poses [P, 8], widths [W]: splines of all lanes. routes [m, R, 2]: first lane of a road or
+    NO_ROAD, number of the lane there or NO_LANE. samples [S, 8]: see SAMPLE_COLUMNS.
     """
 
     vehicles: np.ndarray
@@ -118,6 +119,7 @@ class Scene(NamedTuple):
     link_start: np.ndarray
     link_lane: np.ndarray
     link_offset: np.ndarray
+    exits: np.ndarray
     poses: np.ndarray
     widths: np.ndarray
     routes: np.ndarray

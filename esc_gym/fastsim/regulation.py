@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 
 from esc_gym.fastsim.collisions import has_corner_inside
-from esc_gym.fastsim.geometry import heading_at, position
+from esc_gym.fastsim.geometry import along, heading_at, position
 from esc_gym.fastsim.motion import move
 from esc_gym.fastsim.numerics import compiled, dot
 from esc_gym.fastsim.records import BICYCLE, CONTROLLED, MDP, NO_LANE, PLAIN, YIELD
@@ -17,10 +17,14 @@ HORIZON, INTERVAL = 11, 0.25
 
 
 @compiled
-def route_lane(s, i, ahead):
+def lane_ahead(s, i, ahead):
     """The lane of a step of the route; where it is open, numbered as the present lane is."""
-    lane = s.routes[i, ahead]
-    return lane if lane >= 0 else -1 - lane + s.lanes[s.vehicles[i].lane].id
+    vehicle = s.vehicles[i]
+    if vehicle.route_length == 0:
+        return vehicle.lane
+    step = vehicle.route_taken + ahead
+    road, lane = s.routes[i, step, 0], s.routes[i, step, 1]
+    return road + (s.lanes[vehicle.lane].id if lane == NO_LANE else lane)
 
 
 @compiled
@@ -29,13 +33,13 @@ def predict_along_route(s, i, path):
     vehicle = s.vehicles[i]
     steps = max(vehicle.route_length, 1)
     for index in range(HORIZON):
-        longitudinal = s.lon[vehicle.lane, i] + vehicle.speed * (INTERVAL * (index + 1))
+        longitudinal = along(s, vehicle.lane, i) + vehicle.speed * (INTERVAL * (index + 1))
         ahead = 0
-        lane = route_lane(s, i, 0) if vehicle.route_length > 0 else vehicle.lane
+        lane = lane_ahead(s, i, 0)
         while steps - ahead > 1 and longitudinal > s.lanes[lane].length:
             longitudinal -= s.lanes[lane].length
             ahead += 1
-            lane = route_lane(s, i, ahead)
+            lane = lane_ahead(s, i, ahead)
         path[index, 0], path[index, 1] = position(s, lane, longitudinal)
         path[index, 2] = heading_at(s, lane, longitudinal)
 

@@ -25,6 +25,7 @@ from esc_gym.fastsim.records import (
     LINEAR,
     MDP,
     NO_LANE,
+    NO_ROAD,
     OBSTACLE,
     PLAIN,
     STATE,
@@ -41,6 +42,7 @@ SIZE = VEHICLE.itemsize
 FLOATS = (float, np.float64, int)
 DOUBLE = np.dtype(float)
 NOT_YIELDING = (0, 0)
+ROUTE_LENGTH = 16
 
 # Trait of the record: attribute of the vehicle, for the kinds that have it.
 _BODY = {
@@ -135,7 +137,8 @@ class Traffic:
         self._state = floats[:m, : len(STATE_FLOATS)]
         self._traits: list[Any] = [None] * m
         self._sizes = [self._checked_size(item) for item in items]
-        self.routes = np.zeros((m, 1), np.int64)
+        self.routes = np.zeros((m, ROUTE_LENGTH, 2), np.int64)
+        self._routes: list[Any] = [None] * m
 
     @staticmethod
     def _checked_size(item: Any) -> int:
@@ -151,7 +154,7 @@ class Traffic:
         STATE.pack_into(
             self.records, i * SIZE,
             x, y, d["heading"], d["speed"], 0, 0, 0, 0, 0, 0, 0, 0,
-            lane, lane, d["crashed"], 0, d["hit"], 0, 0, 0, NO_LANE, 0,
+            lane, lane, d["crashed"], 0, d["hit"], 0, 0, 0, 0, 0,
         )  # fmt: skip
 
     def _gather_vehicle(self, i: int, kind: int, vehicle: Any) -> None:
@@ -166,13 +169,13 @@ class Traffic:
         impact = d["impact"]
         push_x, push_y = (0.0, 0.0) if impact is None else impact.tolist()
         target, target_speed, timer, slip, yaw = lane, 0.0, 0.0, 0.0, 0.0
-        length, route_lane = 0, NO_LANE
+        length = 0
         yielding, yield_timer = NOT_YIELDING
         if kind >= CONTROLLED:
             target = self.network.numbers[d["target_lane_index"]]
             target_speed = d["target_speed"]
             if route := d["route"]:
-                length, route_lane = self._gather_route(i, route)
+                length = self._gather_route(i, route)
             if kind >= IDM:
                 timer = d["timer"]
             if "is_yielding" in d:
@@ -184,26 +187,34 @@ class Traffic:
             x, y, heading, speed, action["steering"], action["acceleration"], target_speed, timer,
             push_x, push_y, slip, yaw,
             lane, target, d["crashed"], impact is not None, d["hit"], yielding, yield_timer,
-            length, route_lane, 0,
+            length, 0, 0,
         )  # fmt: skip
 
-    def _gather_route(self, i: int, route: list[Any]) -> tuple[int, int]:
-        """(length, lane of its first step) of a route; the whole of it only where rules need it."""
-        if self.regulated:
-            if len(route) > self.routes.shape[1]:
-                wider = np.zeros((len(self.routes), len(route)), np.int64)
+    def _gather_route(self, i: int, route: list[Any]) -> int:
+        """Write a route into ``routes`` if it is not the one there; its length."""
+        if route != self._routes[i]:
+            steps = [self._route_step(*step) for step in route]
+            if len(steps) > self.routes.shape[1]:
+                wider = np.zeros((len(self.items), 2 * len(steps), 2), np.int64)
                 wider[:, : self.routes.shape[1]] = self.routes
                 self.routes = wider
-            for ahead, (start, end, lane) in enumerate(route):
-                if lane is None:
-                    first, count = self.network.lanes_of((start, end))
-                    if count < self.network.most_lanes:
-                        raise Unknown("an open route between roads of different numbers of lanes")
-                    self.routes[i, ahead] = -1 - first
-                else:
-                    self.routes[i, ahead] = self.network.numbers[start, end, lane]
-        lane = route[0][2]
-        return len(route), NO_LANE if lane is None else lane
+            self.routes[i, : len(steps)] = steps
+            self._routes[i] = list(route)
+        return len(route)
+
+    def _route_step(self, start: str, end: str, lane: int | None) -> tuple[int, int]:
+        road = self.network.numbers.get((start, end, 0), NO_ROAD)
+        if self.regulated:
+            # The road rules look ahead along routes, lanes that are left open taken as the present.
+            count = self.network.most_lanes if lane is None else lane + 1
+            if not 0 < count <= (self.network.records["count"][road] if road != NO_ROAD else 0):
+                raise Unknown("road rules on a route whose lanes differ in number")
+        return road, NO_LANE if lane is None else lane
+
+    def _sync_route(self, i: int, taken: int) -> None:
+        """Drop the steps that were taken from the vehicle's own route, in place as stock does."""
+        del self.items[i].route[:taken]
+        self._routes[i] = None
 
     def follow_road(self, i: int) -> None:
         """Let vehicle i, in mid-step, change to the lane after its own, by stock code."""
@@ -212,10 +223,11 @@ class Traffic:
         if record["changed"] & TARGET_CHANGED:
             vehicle.target_lane_index = self.network.indexes[record["target_lane"]]
             record["changed"] ^= TARGET_CHANGED
+        self._sync_route(i, record["route_taken"])
         vehicle.follow_road()
         record["target_lane"] = self.network.numbers[vehicle.target_lane_index]
-        length, lane = self._gather_route(i, vehicle.route) if vehicle.route else (0, NO_LANE)
-        record["route_length"], record["route_lane"] = length, lane
+        record["route_length"] = self._gather_route(i, vehicle.route)
+        record["route_taken"] = 0
 
     def scatter(self, samples: np.ndarray) -> None:
         """Write a simulated step back to the vehicles; samples [S, 8]: LinearVehicle's data."""
@@ -225,6 +237,8 @@ class Traffic:
                 self._scatter_vehicle(self.kinds[i], item, state)
             if state[-1]:
                 self._scatter_changes(item, state, state[-1])
+            if state[-2]:
+                self._sync_route(i, state[-2])
         for row in samples:
             _append_sample(self.items[int(row[0])].data, row)
 
