@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from esc_gym.fastsim.numerics import compiled, dot, unary
+from esc_gym.fastsim.numerics import compiled, dot, merged, outlined, unary
 from esc_gym.fastsim.records import CRASH, HIT, IMPACT, OBSTACLE
 
 # Pairs further apart than this beyond touching are skipped before the exact distance is computed:
@@ -92,18 +92,15 @@ def push(vehicle, x, y):
     vehicle.changed |= IMPACT
 
 
-@compiled
-def collide(s, i, j, dt, a, b):
-    """``RoadObject.handle_collisions`` of vehicle i with vehicle or object j; a, b: scratch."""
+@outlined
+def collide_near(s, i, j, dt, reach, a, b):
+    """``RoadObject.handle_collisions`` of two that are near; a, b: scratch for their corners."""
     one, other = s.vehicles[i], s.vehicles[j]
-    dx, dy = other.x - one.x, other.y - one.y
-    reach = (one.diagonal + other.diagonal) / 2 + one.speed * dt
-    if abs(dx) > reach + MARGIN or abs(dy) > reach + MARGIN:
-        return
     if not (one.checks_collisions or other.checks_collisions):
         return
     if not (one.collidable and other.collidable):
         return
+    dx, dy = other.x - one.x, other.y - one.y
     if sqrt(dot(s.np.dot, dx, dy, dx, dy)) > reach:
         return
     rectangle(s.np, one.x, one.y, one.length, one.width, one.cos, one.sin, a)
@@ -130,13 +127,18 @@ def collide(s, i, j, dt, a, b):
         other.changed |= HIT
 
 
-@compiled
+@merged
 def collide_all(s, dt):
     """The second half of ``Road.step``: every pair of vehicles, then the objects, in order."""
     a, b = np.empty((5, 2)), np.empty((5, 2))
     for i in range(s.n):
+        one = s.vehicles[i]
+        x, y, ahead = one.x, one.y, one.speed * dt
         for j in range(i + 1, s.m):
-            collide(s, i, j, dt, a, b)
+            other = s.vehicles[j]
+            reach = (one.diagonal + other.diagonal) / 2 + ahead
+            if abs(other.x - x) <= reach + MARGIN and abs(other.y - y) <= reach + MARGIN:
+                collide_near(s, i, j, dt, reach, a, b)
 
 
 @compiled

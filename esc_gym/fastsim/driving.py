@@ -18,7 +18,9 @@ from esc_gym.fastsim.numerics import (
     dot,
     dot3,
     libm,
+    merged,
     not_zero,
+    outlined,
     unary,
     wrap_to_pi,
 )
@@ -136,7 +138,7 @@ def sign(x):
     return (x > 0) - (x < 0)
 
 
-@compiled
+@outlined
 def mobil(s, i, k):
     """``IDMVehicle.mobil``: is changing to lane ``k`` safe and worth it?"""
     driver = s.vehicles[i]
@@ -166,7 +168,7 @@ def set_target(driver, k):
     driver.changed |= TARGET_CHANGED
 
 
-@compiled
+@outlined
 def give_way(s, i):
     """An ongoing lane change is called off if someone in front is changing to the same lane."""
     driver = s.vehicles[i]
@@ -183,7 +185,7 @@ def give_way(s, i):
             return
 
 
-@compiled
+@merged
 def change_lane_policy(s, i):
     """``IDMVehicle.change_lane_policy``."""
     driver = s.vehicles[i]
@@ -241,7 +243,7 @@ def linear_steering(s, i):
     return clip(steering, -driver.max_steering, driver.max_steering)
 
 
-@compiled
+@outlined
 def collect(s, i, sample):
     """``LinearVehicle.collect_data``."""
     driver = s.vehicles[i]
@@ -256,7 +258,7 @@ def collect(s, i, sample):
     row[7] = dot(s.np.dot, driver.steering_0, driver.steering_1, g0, g1)
 
 
-@compiled
+@merged
 def drive_idm(s, i):
     """``IDMVehicle.act`` after following the road; also of linear drivers."""
     driver = s.vehicles[i]
@@ -271,7 +273,7 @@ def drive_idm(s, i):
     driver.acceleration = clip(command, -driver.acc_max, driver.acc_max)
 
 
-@compiled
+@merged
 def acts(driver):
     """Does ``act()`` without an action do anything?"""
     if driver.kind == PLAIN or driver.kind == BICYCLE:
@@ -279,7 +281,7 @@ def acts(driver):
     return driver.kind < IDM or not driver.crashed
 
 
-@compiled
+@merged
 def drive(s, i):
     """``vehicle.act()`` after following the road."""
     driver = s.vehicles[i]

@@ -9,7 +9,7 @@ from math import sqrt
 
 import numpy as np
 
-from esc_gym.fastsim.numerics import binary, compiled, dot, unary, wrap_to_pi
+from esc_gym.fastsim.numerics import binary, compiled, dot, outlined, unary, wrap_to_pi
 from esc_gym.fastsim.records import CIRCULAR, LANDMARK, SINE, SPLINE, STRAIGHT
 
 VEHICLE_LENGTH = 5  # AbstractLane.VEHICLE_LENGTH
@@ -60,7 +60,7 @@ def along(s, k, i):
     return longitudinal
 
 
-@compiled
+@outlined
 def spline_coordinates(s, k, x, y):
     """``LinearSpline2D.cartesian_to_frenet``: the last sample that the point is not behind."""
     first, count = s.lanes[k].poses, s.lanes[k].poses_count

@@ -8,21 +8,20 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
+from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.collisions import collide_all, corner_offsets, rectangle
 from esc_gym.fastsim.driving import acts, collect, drive
 from esc_gym.fastsim.geometry import locate
 from esc_gym.fastsim.motion import step
-from esc_gym.fastsim.numerics import binary, borrowed, compiled, dot, dot3, libm, unary, wrap_to_pi
-from esc_gym.fastsim.records import LINEAR, Numerics, Scene
+from esc_gym.fastsim.numerics import binary, borrowed, compiled, dot, dot3, libm, merged, unary, wrap_to_pi
+from esc_gym.fastsim.records import LANE, LINEAR, POSE_COLUMNS, SAMPLE_COLUMNS, VEHICLE, Numerics, Scene
 from esc_gym.fastsim.regulation import enforce_road_rules
 from esc_gym.fastsim.routes import ASK_PYTHON, follow_road
 
-cached = njit(error_model="numpy", cache=True)
 DONE = -1
 # Entries of ``progress``.
-FRAME, VEHICLE, RESUMED, SAMPLES = range(4)
+FRAME, DRIVER, RESUMED, SAMPLES = range(4)
 
 
 @compiled
@@ -32,11 +31,11 @@ def unpack(n):
                     n[12], n[13], n[14], n[15], n[16], n[17])  # fmt: skip
 
 
-@compiled
+@merged
 def act_all(s, progress):
     """``Road.act``. The vehicle that needs Python to follow the road, or DONE."""
-    while progress[VEHICLE] < s.n:
-        i = progress[VEHICLE]
+    while progress[DRIVER] < s.n:
+        i = progress[DRIVER]
         driver = s.vehicles[i]
         if driver.kind == LINEAR and driver.collects and not progress[RESUMED]:
             collect(s, i, progress[SAMPLES])
@@ -47,7 +46,7 @@ def act_all(s, progress):
                 return i
             drive(s, i)
         progress[RESUMED] = 0
-        progress[VEHICLE] += 1
+        progress[DRIVER] += 1
     return DONE
 
 
@@ -68,7 +67,7 @@ def run(
         borrowed(link_start), borrowed(link_lane), borrowed(link_offset), borrowed(exits),
         borrowed(poses), borrowed(widths), borrowed(routes), borrowed(samples), n, m, unpack(numerics),
     )  # fmt: skip
-    if progress[FRAME] == 0 and progress[VEHICLE] == 0 and not progress[RESUMED]:
+    if progress[FRAME] == 0 and progress[DRIVER] == 0 and not progress[RESUMED]:
         for i in range(m):
             locate(s, i)
     while progress[FRAME] < frames:
@@ -76,13 +75,25 @@ def run(
         if waiting != DONE:
             return waiting
         progress[FRAME] += 1
-        progress[VEHICLE] = 0
+        progress[DRIVER] = 0
         if rules_every > 0 and (road_steps + progress[FRAME]) % rules_every == 0:
             enforce_road_rules(s, patience)
         for i in range(n):
             step(s, i, dt)
         collide_all(s, dt)
     return DONE
+
+
+def run_nothing() -> None:
+    """One call of ``run`` on an empty road, to have it compiled or loaded."""
+    integers, numbers, table = np.zeros(1, np.int64), np.zeros(1), np.zeros((1, 0))
+    run(
+        np.zeros(1, VEHICLE), np.zeros(1, LANE), table, table, table,
+        np.zeros(2, np.int64), integers, numbers, integers,
+        np.zeros((1, len(POSE_COLUMNS))), numbers, np.zeros((1, 1, 2), np.int64),
+        np.zeros((1, SAMPLE_COLUMNS)), np.zeros(len(Numerics._fields), np.int64), 0,
+        np.zeros(4, np.int64), 0, 0.1, 0, 0, 0.0,
+    )  # fmt: skip
 
 
 @cached

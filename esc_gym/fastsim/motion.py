@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from esc_gym.fastsim.geometry import closest_lane, locate
-from esc_gym.fastsim.numerics import binary, clip, compiled, dot, unary
+from esc_gym.fastsim.numerics import binary, clip, compiled, dot, merged, outlined, unary
 from esc_gym.fastsim.records import BICYCLE, CRASH, IDM, IMPACT, LANE_CHANGED
 
 
@@ -65,7 +65,7 @@ def bicycle_derivative(s, i, heading, speed, lateral_speed, yaw_rate):
     return np.array([x, y, yaw_rate, v.acceleration, lateral, yaw])
 
 
-@compiled
+@outlined
 def move_dynamic(s, i, dt):
     """``BicycleVehicle.step`` (fourth-order Runge-Kutta) but for the lane; ignores impacts."""
     v = s.vehicles[i]
@@ -95,7 +95,7 @@ def move(s, i, dt):
         move_kinematic(s, i, dt)
 
 
-@compiled
+@merged
 def step(s, i, dt):
     """``vehicle.step(dt)``."""
     vehicle = s.vehicles[i]

@@ -21,7 +21,13 @@ from highway_env import utils
 
 from esc_gym.fastsim.records import Numerics
 
-compiled = njit(error_model="numpy", forceinline=True)
+_INNER = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# Inlined: a call would pass every array of the scene anew, which costs more than most of these do.
+compiled = njit(forceinline=True, **_INNER)
+# A call, for what is long and rarely needed: inlined, it would only take long to compile.
+outlined = njit(**_INNER)
+# Part of its only caller: one function less for LLVM to optimise on its own first.
+merged = njit(inline="always", **_INNER)
 FUNCTIONS = ("sin", "cos", "tan", "arcsin", "arctan", "arctan2", "power")
 # How a0*b0 + a1*b1 may be rounded: both products, the first one only, the second one only.
 PLAIN, FUSED_SECOND, FUSED_FIRST = range(3)

@@ -9,7 +9,7 @@ import numpy as np
 from esc_gym.fastsim.collisions import has_corner_inside
 from esc_gym.fastsim.geometry import along, heading_at, position
 from esc_gym.fastsim.motion import move
-from esc_gym.fastsim.numerics import compiled, dot
+from esc_gym.fastsim.numerics import compiled, dot, outlined
 from esc_gym.fastsim.records import BICYCLE, CONTROLLED, MDP, NO_LANE, PLAIN, YIELD
 
 # RegulatedRoad.is_conflict_possible: np.arange(step, horizon, step), exact in binary.
@@ -93,7 +93,7 @@ def yielding(s, i, j):
     return i if front_distance(s, i, j) > front_distance(s, j, i) else j
 
 
-@compiled
+@outlined
 def enforce_road_rules(s, patience):
     """``RegulatedRoad.enforce_road_rules``; patience: after how many checks yielding ends."""
     for i in range(s.n):

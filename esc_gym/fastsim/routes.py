@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from esc_gym.fastsim.geometry import after_end, along, l1_distance, local_coordinates, position
-from esc_gym.fastsim.numerics import compiled
+from esc_gym.fastsim.numerics import compiled, outlined
 from esc_gym.fastsim.records import NO_LANE, NO_ROAD, SPLINE, TARGET_CHANGED
 
 # What ``follow_road`` may answer.
@@ -63,7 +63,7 @@ def leaves_network(s, vehicle, i, k):
     return False
 
 
-@compiled
+@outlined
 def follow_road(s, i):
     """``ControlledVehicle.follow_road``."""
     vehicle = s.vehicles[i]
