@@ -19,6 +19,7 @@ from highway_env.vehicle import behavior
 from highway_env.vehicle.behavior import IDMVehicle
 
 PARAMETERS = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
+_NAMES = set(PARAMETERS)
 
 
 @cache
@@ -35,7 +36,16 @@ def _original_parameters(cls: type[IDMVehicle]) -> dict[str, float]:
     """The parameters that the source of ``cls`` itself sets; of a user's class, on first sight."""
     if cls.__module__ == behavior.__name__:
         cls = getattr(_original_module(), cls.__name__)
+    return _present_parameters(cls)
+
+
+def _present_parameters(cls: type[IDMVehicle]) -> dict[str, float]:
     return {name: vars(cls)[name] for name in PARAMETERS if name in vars(cls)}
+
+
+def _lineage(vehicle_type: type) -> list[type[IDMVehicle]]:
+    """The class and its ancestors from IDMVehicle down, the class first."""
+    return [cls for cls in vehicle_type.__mro__ if issubclass(cls, IDMVehicle)]
 
 
 def _write(cls: type[IDMVehicle], parameters: dict[str, float]) -> None:
@@ -49,11 +59,10 @@ def _write(cls: type[IDMVehicle], parameters: dict[str, float]) -> None:
 @contextmanager
 def original_behavior(vehicle_type: Any) -> Iterator[None]:
     """Inside, ``vehicle_type`` and ``IDMVehicle`` have the parameters of a fresh process."""
-    lineage = {*vehicle_type.__mro__, IDMVehicle}
-    classes = [cls for cls in lineage if issubclass(cls, IDMVehicle)]
+    classes = {*_lineage(vehicle_type), IDMVehicle}
     # Originals first: what a user's class holds now is remembered before anything is written.
     originals = {cls: _original_parameters(cls) for cls in classes}
-    found = {cls: {n: vars(cls)[n] for n in PARAMETERS if n in vars(cls)} for cls in classes}
+    found = {cls: _present_parameters(cls) for cls in classes}
     try:
         for cls in classes:
             _write(cls, originals[cls])
@@ -67,20 +76,23 @@ class Behavior:
     """The parameters of one environment's traffic, by vehicle class."""
 
     def __init__(self) -> None:
-        self._parameters: dict[type, dict[str, float]] = {}
+        self._own: dict[type, dict[str, float]] = {}
 
     def learn(self, vehicle_types: Iterable[type]) -> None:
         """Take the classes' present parameters as this environment's (inside the context above)."""
-        self._parameters = {
-            cls: {name: getattr(cls, name) for name in PARAMETERS}
-            for cls in vehicle_types
-            if issubclass(cls, IDMVehicle)
-        }
+        classes = {cls for vehicle_type in vehicle_types for cls in _lineage(vehicle_type)}
+        self._own = {cls: _present_parameters(cls) for cls in classes}
+
+    def _of(self, vehicle_type: type) -> dict[str, float]:
+        """What a vehicle of that class would inherit; {} for one that is no IDM vehicle."""
+        parameters = {}
+        for cls in reversed(_lineage(vehicle_type)):
+            parameters |= self._own[cls] if cls in self._own else _original_parameters(cls)
+        return parameters
 
     def pin(self, vehicles: list[Any]) -> None:
-        """Give vehicles their parameters as own attributes; the newest are last, so stop early."""
-        for vehicle in reversed(vehicles):
-            if "DISTANCE_WANTED" in vars(vehicle):
-                return
-            if parameters := self._parameters.get(type(vehicle)):
-                vars(vehicle).update(parameters)
+        """Give vehicles that have none their parameters as own attributes."""
+        for vehicle in vehicles:
+            own = vehicle.__dict__
+            if not own.keys() >= _NAMES:
+                own.update({**self._of(type(vehicle)), **own})

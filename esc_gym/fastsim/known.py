@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
@@ -118,33 +119,49 @@ def is_known_network(cls: type) -> bool | None:
     return _kind(cls, {RoadNetwork: True}, NETWORK)
 
 
-def _replaced() -> list[Any]:
-    """Every function whose effect the kernels repeat."""
-    functions: list[Any] = [
-        AbstractEnv._simulate, IntersectionEnv._make_vehicles, dynamics.rk4,
-        utils.wrap_to_pi, utils.not_zero, utils.do_every, utils.rotated_rectangles_intersect,
-        utils.has_corner_inside, utils.point_in_rotated_rectangle, utils.point_in_rectangle,
-        utils.rect_corners, utils.are_polygons_intersecting, utils.project_polygon,
-        utils.interval_distance,
-    ]  # fmt: skip
-    tables: list[tuple[list[Any], set[str]]] = [
-        ([*VEHICLES, *OBJECTS, RoadObject], BEHAVIOUR),
-        ([*LANES, AbstractLane], GEOMETRY),
-        ([*ROADS], RULES),
-        ([RoadNetwork], NETWORK),
-        ([LinearSpline2D], {"cartesian_to_frenet", "get_dx_dy", "_get_idx_segment_for_lon"}),
-        ([CurvePose], {"__init__", "project_onto_normal", "project_onto_orthonormal"}),
-    ]
-    for classes, names in tables:
-        for cls in classes:
-            functions += [vars(cls)[name] for name in sorted(names & vars(cls).keys())]
-    return functions
+_FUNCTIONS = (
+    "wrap_to_pi", "not_zero", "do_every", "rotated_rectangles_intersect", "has_corner_inside",
+    "point_in_rotated_rectangle", "point_in_rectangle", "rect_corners",
+    "are_polygons_intersecting", "project_polygon", "interval_distance",
+)  # fmt: skip
+# Every name, of a class or module, whose effect the kernels repeat.
+_REPEATED: list[tuple[Any, Iterable[str]]] = [
+    (AbstractEnv, ["_simulate"]), (IntersectionEnv, ["_make_vehicles"]),
+    (dynamics, ["rk4"]), (utils, _FUNCTIONS),
+    *((cls, sorted(BEHAVIOUR)) for cls in (*VEHICLES, *OBJECTS, RoadObject)),
+    *((cls, sorted(GEOMETRY)) for cls in (*LANES, AbstractLane)),
+    *((cls, sorted(RULES)) for cls in ROADS),
+    (RoadNetwork, sorted(NETWORK)),
+    (LinearSpline2D, ["_get_idx_segment_for_lon", "cartesian_to_frenet", "get_dx_dy"]),
+    (CurvePose, ["__init__", "project_onto_normal", "project_onto_orthonormal"]),
+]  # fmt: skip
+_NAMESPACES = [vars(owner) for owner, _ in _REPEATED]
+_DEFINED = [(vars(owner), n) for owner, names in _REPEATED for n in names if n in vars(owner)]
+_UNDEFINED = [(vars(owner), n) for owner, names in _REPEATED for n in names if n not in vars(owner)]
+
+
+def _found() -> list[Any]:
+    return [namespace[name] for namespace, name in _DEFINED]
+
+
+_FOUND, _SIZES = _found(), list(map(len, _NAMESPACES))
+
+
+def patched() -> bool:
+    """Was code that the kernels repeat replaced, or overridden, since this module was imported?"""
+    try:
+        if _found() != _FOUND:
+            return True
+    except KeyError:
+        return True
+    grown = list(map(len, _NAMESPACES)) != _SIZES
+    return grown and any(name in namespace for namespace, name in _UNDEFINED)
 
 
 def source_digest() -> str:
     """What identifies the code that the kernels repeat, comments and all."""
     digest = hashlib.sha256()
-    for function in _replaced():
+    for function in _FOUND:
         if isinstance(function, property):
             function = function.fget
         if callable(function) or isinstance(function, staticmethod | classmethod):

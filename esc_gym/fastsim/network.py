@@ -22,7 +22,7 @@ from esc_gym.fastsim.records import (
 
 LaneIndex = tuple[str, str, int]
 _RECORD = struct.Struct(f"={len(LANE_FLOATS)}d{len(LANE_INTS)}q")
-_RULES = attrgetter("length", "speed_limit", "forbidden", "priority")
+_RULES = attrgetter("length", "width", "speed_limit", "forbidden", "priority")
 
 
 class Unknown(Exception):

@@ -39,7 +39,7 @@ from esc_gym.fastsim.records import (
 )
 
 SIZE = VEHICLE.itemsize
-FLOATS = (float, np.float64, int)
+NUMBERS = (float, np.float64, int, np.int64)
 DOUBLE = np.dtype(float)
 NOT_YIELDING = (0, 0)
 ROUTE_LENGTH = 16
@@ -108,6 +108,7 @@ class Traffic:
         if items != self.items or len(vehicles) != self.n:
             self._allocate(items, len(vehicles))
         self.regulated = regulated
+        self.yielding_color = getattr(road, "YIELDING_COLOR", None)
         for i, item in enumerate(items):
             if len(item.__dict__) != self._sizes[i]:
                 self._sizes[i] = self._checked_size(item)
@@ -160,7 +161,11 @@ class Traffic:
     def _gather_vehicle(self, i: int, kind: int, vehicle: Any) -> None:
         d = vehicle.__dict__
         position, heading, speed, action = d["position"], d["heading"], d["speed"], d["action"]
-        if position.dtype is not DOUBLE or type(speed) not in FLOATS or type(heading) not in FLOATS:
+        if (
+            position.dtype is not DOUBLE
+            or type(speed) not in NUMBERS
+            or type(heading) not in NUMBERS
+        ):
             raise Unknown("a vehicle state that is not float64")
         x, y = position.tolist()
         lane = self.network.numbers[d["lane_index"]]
@@ -174,6 +179,8 @@ class Traffic:
         if kind >= CONTROLLED:
             target = self.network.numbers[d["target_lane_index"]]
             target_speed = d["target_speed"]
+            if type(target_speed) not in NUMBERS:
+                raise Unknown("a target speed that is not float64")
             if route := d["route"]:
                 length = self._gather_route(i, route)
             if kind >= IDM:
@@ -213,8 +220,9 @@ class Traffic:
 
     def _sync_route(self, i: int, taken: int) -> None:
         """Drop the steps that were taken from the vehicle's own route, in place as stock does."""
-        del self.items[i].route[:taken]
-        self._routes[i] = None
+        if taken:
+            del self.items[i].route[:taken]
+            self._routes[i] = None
 
     def follow_road(self, i: int) -> None:
         """Let vehicle i, in mid-step, change to the lane after its own, by stock code."""
@@ -226,7 +234,7 @@ class Traffic:
         self._sync_route(i, record["route_taken"])
         vehicle.follow_road()
         record["target_lane"] = self.network.numbers[vehicle.target_lane_index]
-        record["route_length"] = self._gather_route(i, vehicle.route)
+        record["route_length"] = self._gather_route(i, vehicle.route) if vehicle.route else 0
         record["route_taken"] = 0
 
     def scatter(self, samples: np.ndarray) -> None:
@@ -237,8 +245,7 @@ class Traffic:
                 self._scatter_vehicle(self.kinds[i], item, state)
             if state[-1]:
                 self._scatter_changes(item, state, state[-1])
-            if state[-2]:
-                self._sync_route(i, state[-2])
+            self._sync_route(i, state[-2])
         for row in samples:
             _append_sample(self.items[int(row[0])].data, row)
 
@@ -278,7 +285,7 @@ class Traffic:
             d["target_speed"] = 0 if yielding else state[6]
             d["is_yielding"], d["yield_timer"] = bool(yielding), yield_timer
             if yielding:
-                d["color"] = None
+                d["color"] = self.yielding_color
             else:
                 d.pop("color", None)
 
