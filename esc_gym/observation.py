@@ -11,6 +11,7 @@ from gymnasium.utils import RecordConstructorArgs
 from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
+from esc_gym import fastsim
 from esc_gym.features import (
     DEFAULT_FEATURES,
     EGO_FEATURES,
@@ -19,7 +20,6 @@ from esc_gym.features import (
     Frame,
     Limits,
 )
-from esc_gym import fastsim
 from esc_gym.observation_type import (
     DefineSpaces,
     Empty,

@@ -1,4 +1,4 @@
-"""highway-env's simulation, compiled, with the same trajectories to the last bit (see README.md)."""
+"""highway-env's simulation, compiled, with the same trajectories to the last bit: README.md."""
 
 from esc_gym.fastsim.engine import Report, accelerate, isolate, report
 

@@ -10,7 +10,7 @@ from math import sqrt
 
 import numpy as np
 
-from esc_gym.fastsim.geometry import after_end, along, heading_at, is_reachable
+from esc_gym.fastsim.geometry import along, heading_at, is_reachable
 from esc_gym.fastsim.numerics import (
     binary,
     clip,
@@ -39,7 +39,7 @@ NOBODY = -1
 
 @compiled
 def neighbours(s, i, k):
-    """``Road.neighbour_vehicles``: (front, rear). Of equals, the last is in front, the first behind.
+    """``Road.neighbour_vehicles``: (front, rear); of equals, the last in front, the first behind.
 
     A lane's links are itself alone, or with neighbour_vehicles_connected_lanes those before and
     after it; a vehicle counts on the first of them that it stands on.
@@ -77,9 +77,7 @@ def desired_gap(s, me, ego, front):
     dvy = back.speed * back.sin - lead.speed * lead.sin
     closing = dot(s.np.dot, dvx, dvy, back.cos, back.sin)
     scale = 2 * sqrt(-driver.comfort_max * driver.comfort_min)
-    return (
-        driver.distance_wanted + back.speed * driver.time_wanted + back.speed * closing / scale
-    )
+    return driver.distance_wanted + back.speed * driver.time_wanted + back.speed * closing / scale
 
 
 @compiled
@@ -180,7 +178,7 @@ def give_way(s, i):
         if j == i or not same or other.lane == driver.target_lane:
             continue
         ahead = lane_distance(s, i, j)
-        if 0 < ahead and ahead < desired_gap(s, i, i, j):
+        if ahead > 0 and ahead < desired_gap(s, i, i, j):
             set_target(driver, driver.lane)
             return
 

@@ -6,7 +6,7 @@ import struct
 import warnings
 from collections import Counter
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -36,8 +36,9 @@ class Report:
     stock: dict[str, int] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        lines = [f"{self.compiled:,} policy steps compiled, {sum(self.stock.values()):,} stock"]
-        return "\n".join([*lines, *(f"  {count:,} stock: {why}" for why, count in self.stock.items())])
+        total = sum(self.stock.values())
+        reasons = [f"  {count:,} stock: {reason}" for reason, count in self.stock.items()]
+        return "\n".join([f"{self.compiled:,} policy steps compiled, {total:,} stock", *reasons])
 
 
 @cache
@@ -111,6 +112,8 @@ class Simulation:
         env = self.env
         if not self.enabled:
             return "acceleration is off"
+        if known.patched():
+            return "code of highway-env was replaced"
         if type(env)._simulate is not AbstractEnv._simulate:
             return f"{type(env).__name__} has a _simulate of its own"
         if env.viewer is not None and env.enable_auto_render:
@@ -129,8 +132,6 @@ class Simulation:
 
     def _read(self, road: Any) -> None:
         """Everything into arrays; Unknown if anything cannot be simulated here."""
-        if known.patched():
-            raise Unknown("code of highway-env that was replaced")
         regulated = known.is_regulated(type(road))
         if regulated is None or not known.RULES.isdisjoint(vars(road)):
             raise Unknown(f"road {type(road).__name__} with rules of its own")
@@ -173,15 +174,16 @@ class Simulation:
         if self._regulated:
             road.steps += frames
 
-    def substep(self, road: Any, dt: float) -> None:
-        """``road.act(); road.step(dt)``."""
+    def substeps(self, road: Any, count: int, dt: float) -> None:
+        """``road.act(); road.step(dt)``, ``count`` times."""
         try:
             self._load(road)
         except Unknown:
-            type(road).act(road)
-            type(road).step(road, dt)
+            for _ in range(count):
+                road.act()
+                road.step(dt)
         else:
-            self._run(road, 1, dt)
+            self._run(road, count, dt)
 
 
 class Reset:
@@ -201,24 +203,43 @@ class Reset:
 
 
 class MakeVehicles:
-    """Replaces ``IntersectionEnv._make_vehicles``, which simulates three seconds of traffic."""
+    """Replaces ``IntersectionEnv._make_vehicles``, which simulates three seconds of traffic.
+
+    It calls ``road.act()`` and ``road.step(dt)`` in turn and looks at nothing in between, so its
+    sub-steps are put off until it spawns the next vehicle, and then run in one go.
+    """
 
     def __init__(self, env: Any, simulation: Simulation) -> None:
-        self.env, self.simulation = env, simulation
+        self.env, self.simulation, self._intervals = env, simulation, []
 
     def __call__(self, *arguments: Any) -> None:
         """``IntersectionEnv._make_vehicles``."""
-        road = self.env.road
-        if self.simulation.enabled and not machine()[2]:
-            # It calls road.act() and road.step(dt) in turn, and nothing in between.
-            vars(road).update(act=_nothing, step=partial(self._substep, road))
-        type(self.env)._make_vehicles(self.env, *arguments)
-        for name in ("act", "step"):
-            vars(road).pop(name, None)
+        env, road = self.env, self.env.road
+        hooks = {"act": _nothing, "step": self._intervals.append}
+        if not self.simulation.enabled or machine()[2] or known.patched():
+            type(env)._make_vehicles(env, *arguments)
+            return
+        vars(road).update(hooks)
+        env._spawn_vehicle = self._spawn
+        try:
+            type(env)._make_vehicles(env, *arguments)
+            self._catch_up()
+        finally:
+            del env._spawn_vehicle
+            for name in hooks:
+                vars(road).pop(name, None)
 
-    def _substep(self, road: Any, dt: float) -> None:
+    def _spawn(self, *arguments: Any, **options: Any) -> Any:
+        self._catch_up()
+        return type(self.env)._spawn_vehicle(self.env, *arguments, **options)
+
+    def _catch_up(self) -> None:
+        if not self._intervals:
+            return
+        road = self.env.road
         hooks = {name: vars(road).pop(name) for name in ("act", "step")}
-        self.simulation.substep(road, dt)
+        self.simulation.substeps(road, len(self._intervals), self._intervals[0])
+        self._intervals.clear()
         vars(road).update(hooks)
 
 

@@ -131,7 +131,7 @@ def on_lane(s, k, i, margin):
     longitudinal = along(s, k, i)
     return (
         abs(s.lat[k, i]) <= width_at(s, k, longitudinal) / 2 + margin
-        and -VEHICLE_LENGTH <= longitudinal
+        and longitudinal >= -VEHICLE_LENGTH
         and longitudinal < length + VEHICLE_LENGTH
     )
 
@@ -143,7 +143,7 @@ def is_reachable(s, k, i):
     return (
         not s.lanes[k].forbidden
         and abs(s.lat[k, i]) <= 2 * width_at(s, k, longitudinal)
-        and 0 <= longitudinal
+        and longitudinal >= 0
         and longitudinal < s.lanes[k].length + VEHICLE_LENGTH
     )
 

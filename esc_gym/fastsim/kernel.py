@@ -14,8 +14,26 @@ from esc_gym.fastsim.collisions import collide_all, corner_offsets, rectangle
 from esc_gym.fastsim.driving import acts, collect, drive
 from esc_gym.fastsim.geometry import locate
 from esc_gym.fastsim.motion import step
-from esc_gym.fastsim.numerics import binary, borrowed, compiled, dot, dot3, libm, merged, unary, wrap_to_pi
-from esc_gym.fastsim.records import LANE, LINEAR, POSE_COLUMNS, SAMPLE_COLUMNS, VEHICLE, Numerics, Scene
+from esc_gym.fastsim.numerics import (
+    binary,
+    borrowed,
+    compiled,
+    dot,
+    dot3,
+    libm,
+    merged,
+    unary,
+    wrap_to_pi,
+)
+from esc_gym.fastsim.records import (
+    LANE,
+    LINEAR,
+    POSE_COLUMNS,
+    SAMPLE_COLUMNS,
+    VEHICLE,
+    Numerics,
+    Scene,
+)
 from esc_gym.fastsim.regulation import enforce_road_rules
 from esc_gym.fastsim.routes import ASK_PYTHON, follow_road
 
@@ -65,7 +83,8 @@ def run(
     s = Scene(
         borrowed(vehicles), borrowed(lanes), borrowed(lon), borrowed(lat), borrowed(seats),
         borrowed(link_start), borrowed(link_lane), borrowed(link_offset), borrowed(exits),
-        borrowed(poses), borrowed(widths), borrowed(routes), borrowed(samples), n, m, unpack(numerics),
+        borrowed(poses), borrowed(widths), borrowed(routes), borrowed(samples),
+        n, m, unpack(numerics),
     )  # fmt: skip
     if progress[FRAME] == 0 and progress[DRIVER] == 0 and not progress[RESUMED]:
         for i in range(m):

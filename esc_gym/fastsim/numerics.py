@@ -14,10 +14,10 @@ from typing import Any
 
 import llvmlite.ir as ir
 import numpy as np
+from highway_env import utils
 from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
-from highway_env import utils
 
 from esc_gym.fastsim.records import Numerics
 
@@ -133,7 +133,7 @@ def dot3(rounding, a0, a1, a2, b0, b1, b2):
 def wrap_to_pi(x):
     """``utils.wrap_to_pi``; the remainder is skipped where it changes nothing."""
     shifted = x + np.pi
-    if 0.0 <= shifted and shifted < 2 * np.pi:
+    if shifted >= 0.0 and shifted < 2 * np.pi:
         return shifted - np.pi
     return (shifted % (2 * np.pi)) - np.pi
 
@@ -193,7 +193,8 @@ def measure(check: Any, count: int = 400) -> tuple[Numerics | None, str]:
         output = np.empty_like(truth)
         check(np.array(numerics, dtype=np.int64), inputs, output)
         equal = (output == truth).all(axis=0)
-        wrong = {n for n, low, high in zip(WIDTHS, edges, edges[1:]) if not equal[low:high].all()}
+        spans = zip(WIDTHS, edges[:-1], edges[1:], strict=True)
+        wrong = {name for name, low, high in spans if not equal[low:high].all()}
         for group in ROUNDED:
             if wrong.isdisjoint(group):
                 found.setdefault(group, rounding)

@@ -29,7 +29,7 @@ def lane_ahead(s, i, ahead):
 
 @compiled
 def predict_along_route(s, i, path):
-    """``ControlledVehicle.predict_trajectory_constant_speed`` into ``path`` [11, 3] (x, y, heading)."""
+    """``ControlledVehicle.predict_trajectory_constant_speed`` into ``path`` [11, 3]."""
     vehicle = s.vehicles[i]
     steps = max(vehicle.route_length, 1)
     for index in range(HORIZON):

@@ -43,10 +43,10 @@ def planned_road(s, vehicle, i, k):
 def is_exit(s, k, road):
     """Does ``road`` start where lane k ends?"""
     lane = s.lanes[k]
+    found = False
     for index in range(lane.exits, lane.exits + lane.exits_count):
-        if s.exits[index] == road:
-            return True
-    return False
+        found = found or s.exits[index] == road
+    return found
 
 
 @compiled
@@ -59,7 +59,7 @@ def leaves_network(s, vehicle, i, k):
         road, lane = s.routes[i, step, 0], s.routes[i, step, 1]
         if road == NO_ROAD or not is_exit(s, k, road):
             return True
-        return lane != NO_LANE and not (0 <= lane and lane < s.lanes[road].count)
+        return lane != NO_LANE and not (lane >= 0 and lane < s.lanes[road].count)
     return False
 
 

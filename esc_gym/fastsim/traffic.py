@@ -49,7 +49,9 @@ _BODY = {
     "length": "LENGTH", "width": "WIDTH", "diagonal": "diagonal",
     "solid": "solid", "collidable": "collidable", "checks_collisions": "check_collisions",
 }  # fmt: skip
-_VEHICLE = {**_BODY, "max_speed": "MAX_SPEED", "min_speed": "MIN_SPEED", "coasts": "prediction_type"}
+_VEHICLE = {
+    **_BODY, "max_speed": "MAX_SPEED", "min_speed": "MIN_SPEED", "coasts": "prediction_type",
+}  # fmt: skip
 _CONTROLLED = {
     **_VEHICLE, "kp_acceleration": "KP_A", "kp_heading": "KP_HEADING", "kp_lateral": "KP_LATERAL",
     "tau_pursuit": "TAU_PURSUIT", "max_steering": "MAX_STEERING_ANGLE",
@@ -107,7 +109,7 @@ class Traffic:
         items = vehicles + objects
         if items != self.items or len(vehicles) != self.n:
             self._allocate(items, len(vehicles))
-        self.regulated = regulated
+        self.road, self.regulated = road, regulated
         self.yielding_color = getattr(road, "YIELDING_COLOR", None)
         for i, item in enumerate(items):
             if len(item.__dict__) != self._sizes[i]:
@@ -127,7 +129,10 @@ class Traffic:
             raise Unknown("a vehicle with NaN or infinite state")
 
     def _allocate(self, items: list[Any], n: int) -> None:
-        kinds = [(vehicle_kind if i < n else object_kind)(type(item)) for i, item in enumerate(items)]
+        kinds = [vehicle_kind(type(vehicle)) for vehicle in items[:n]]
+        kinds += [object_kind(type(item)) for item in items[n:]]
+        if len(set(map(id, items))) < len(items):
+            raise Unknown("one vehicle more than once on the road")
         for item, kind in zip(items, kinds, strict=True):
             if kind is None:
                 raise Unknown(f"class {type(item).__name__}")
@@ -161,6 +166,8 @@ class Traffic:
     def _gather_vehicle(self, i: int, kind: int, vehicle: Any) -> None:
         d = vehicle.__dict__
         position, heading, speed, action = d["position"], d["heading"], d["speed"], d["action"]
+        if d["road"] is not self.road:
+            raise Unknown("a vehicle of another road")
         if (
             position.dtype is not DOUBLE
             or type(speed) not in NUMBERS
@@ -292,7 +299,8 @@ class Traffic:
 
 def _append_sample(data: dict[str, Any], row: np.ndarray) -> None:
     """What ``LinearVehicle.add_features`` does."""
-    for name, features, output in (("longitudinal", row[1:4], row[4]), ("lateral", row[5:7], row[7])):
+    parts = ("longitudinal", row[1:4], row[4]), ("lateral", row[5:7], row[7])
+    for name, features, output in parts:
         lists = data.setdefault(name, {"features": [], "outputs": []})
         lists["features"].append(features.copy())
         lists["outputs"].append(output)

@@ -90,9 +90,10 @@ def test_our_intersections_leave_the_process_alone():
     env = gym.make("esc_gym/intersection-v0")
     env.reset(seed=0)
     for _ in range(5):
+        simulated = list(env.unwrapped.road.vehicles)
         env.step(1)
     assert [getattr(IDMVehicle, name) for name in PARAMETERS] == [10.0, 3.0, -5.0]
-    traffic = [v for v in env.unwrapped.road.vehicles if isinstance(v, IDMVehicle)]
+    traffic = [v for v in simulated if isinstance(v, IDMVehicle)]
     assert traffic
     for vehicle in traffic:
         assert [getattr(vehicle, name) for name in PARAMETERS] == [7, 6, -3]
