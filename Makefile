@@ -1,11 +1,11 @@
 # The commands of this project; each sets up .venv by itself, from constraints.txt.
 PYTHON ?= python3
 BIN := .venv/bin
-# 1,500 steps until the simulator is accelerated: highway-v0 makes a few steps a second.
-TRAIN ?= --env highway-v0 --repr esc --steps 1500 --evaluation.episodes 4
+TRAIN ?= --env highway-v0 --repr esc --steps 50000
+BENCH ?= --end-to-end --out docs/speed.md --readme README.md
 WORKERS ?= 2
 
-.PHONY: setup train test bench lint
+.PHONY: setup train test exact bench lint
 setup: .venv/.done
 
 .venv/.done: pyproject.toml constraints.txt
@@ -20,8 +20,12 @@ train: setup
 test: setup
 	$(BIN)/pytest -n $(WORKERS)
 
+exact: setup
+	$(BIN)/pytest tests/esc_gym/fastsim/test_exactness.py --exact-seeds 100 -n $(WORKERS)
+
 bench: setup
 	$(BIN)/pytest tests/benchmarks --benchmark-enable -o norecursedirs=.* -s
+	$(BIN)/esc-bench $(BENCH)
 
 lint: setup
 	$(BIN)/ruff check .
