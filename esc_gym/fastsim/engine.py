@@ -98,11 +98,11 @@ class Simulation:
             env.action_type.act(action)
         try:
             self._load(env.road)
+            self._run(env.road, frames, 1 / env.config["simulation_frequency"])
         except Unknown as unknown:
             self.stock[str(unknown)] += 1
             type(env)._simulate(env)  # the action is taken already
             return
-        self._run(env.road, frames, 1 / env.config["simulation_frequency"])
         env.steps += frames
         env.enable_auto_render = False
         self.compiled += 1
@@ -167,6 +167,8 @@ class Simulation:
                 network.poses, network.widths, traffic.routes, samples, numerics, traffic.n,
                 progress, frames, dt, rules_every, getattr(road, "steps", 0), patience,
             )  # fmt: skip
+            if waiting == kernel.NOT_FINITE:
+                raise Unknown("a vehicle with NaN or infinite state")
             if waiting == kernel.DONE:
                 break
             traffic.follow_road(waiting)
@@ -178,12 +180,11 @@ class Simulation:
         """``road.act(); road.step(dt)``, ``count`` times."""
         try:
             self._load(road)
+            self._run(road, count, dt)
         except Unknown:
             for _ in range(count):
                 road.act()
                 road.step(dt)
-        else:
-            self._run(road, count, dt)
 
 
 class Reset:

@@ -37,7 +37,7 @@ from esc_gym.fastsim.records import (
 from esc_gym.fastsim.regulation import enforce_road_rules
 from esc_gym.fastsim.routes import ASK_PYTHON, follow_road
 
-DONE = -1
+DONE, NOT_FINITE = -1, -2
 # Entries of ``progress``.
 FRAME, DRIVER, RESUMED, SAMPLES = range(4)
 
@@ -68,6 +68,14 @@ def act_all(s, progress):
     return DONE
 
 
+@compiled
+def is_finite(v):
+    """No state of a vehicle is NaN or infinite: their sum would be, too."""
+    total = v.x + v.y + v.heading + v.speed + v.steering + v.acceleration + v.target_speed
+    total += v.timer + v.impact_x + v.impact_y + v.lateral_speed + v.yaw_rate
+    return np.isfinite(total)
+
+
 @cached
 def run(
     vehicles, lanes, lon, lat, seats, link_start, link_lane, link_offset, exits, poses, widths,
@@ -75,8 +83,9 @@ def run(
 ):  # fmt: skip
     """Sub-steps until ``frames`` are done (DONE), or until a vehicle has to follow the road.
 
-    That vehicle's number is returned; call again after Python did it. ``progress`` starts as
-    zeros. rules_every: sub-steps between checks of the road rules, 0 for a plain road; road_steps
+    That vehicle's number is returned; call again after Python did it. NOT_FINITE if there is NaN
+    or infinity in the vehicles; then nothing was done. ``progress`` starts as zeros.
+    rules_every: sub-steps between checks of the road rules, 0 for a plain road; road_steps
     (``RegulatedRoad.steps``) and patience belong to them.
     """
     m = len(vehicles) - 1
@@ -87,6 +96,9 @@ def run(
         n, m, unpack(numerics),
     )  # fmt: skip
     if progress[FRAME] == 0 and progress[DRIVER] == 0 and not progress[RESUMED]:
+        for i in range(m):
+            if not is_finite(vehicles[i]):
+                return NOT_FINITE
         for i in range(m):
             locate(s, i)
     while progress[FRAME] < frames:

@@ -10,6 +10,7 @@ import hashlib
 import inspect
 from collections.abc import Iterable
 from functools import cache
+from operator import itemgetter
 from typing import Any
 
 from highway_env import utils
@@ -135,16 +136,21 @@ _REPEATED: list[tuple[Any, Iterable[str]]] = [
     (LinearSpline2D, ["_get_idx_segment_for_lon", "cartesian_to_frenet", "get_dx_dy"]),
     (CurvePose, ["__init__", "project_onto_normal", "project_onto_orthonormal"]),
 ]  # fmt: skip
-_NAMESPACES = [vars(owner) for owner, _ in _REPEATED]
-_DEFINED = [(vars(owner), n) for owner, names in _REPEATED for n in names if n in vars(owner)]
-_UNDEFINED = [(vars(owner), n) for owner, names in _REPEATED for n in names if n not in vars(owner)]
+_NAMESPACES = [(vars(owner), names) for owner, names in _REPEATED]
+_DEFINED = [(n, [name for name in names if name in n]) for n, names in _NAMESPACES]
+_UNDEFINED = [(n, [name for name in names if name not in n]) for n, names in _NAMESPACES]
+_GETTERS = [(itemgetter(*names), namespace) for namespace, names in _DEFINED if names]
 
 
 def _found() -> list[Any]:
-    return [namespace[name] for namespace, name in _DEFINED]
+    return [get(namespace) for get, namespace in _GETTERS]
 
 
-_FOUND, _SIZES = _found(), list(map(len, _NAMESPACES))
+def _sizes() -> list[int]:
+    return [len(namespace) for namespace, _ in _NAMESPACES]
+
+
+_FOUND, _SIZES = _found(), _sizes()
 
 
 def patched() -> bool:
@@ -154,14 +160,14 @@ def patched() -> bool:
             return True
     except KeyError:
         return True
-    grown = list(map(len, _NAMESPACES)) != _SIZES
-    return grown and any(name in namespace for namespace, name in _UNDEFINED)
+    grown = _sizes() != _SIZES
+    return grown and any(name in namespace for namespace, names in _UNDEFINED for name in names)
 
 
 def source_digest() -> str:
     """What identifies the code that the kernels repeat, comments and all."""
     digest = hashlib.sha256()
-    for function in _FOUND:
+    for function in (namespace[name] for namespace, names in _DEFINED for name in names):
         if isinstance(function, property):
             function = function.fget
         if callable(function) or isinstance(function, staticmethod | classmethod):

@@ -29,7 +29,6 @@ from esc_gym.fastsim.records import (
     OBSTACLE,
     PLAIN,
     STATE,
-    STATE_FLOATS,
     TARGET_CHANGED,
     TRAIT_FLOATS,
     TRAIT_INTS,
@@ -125,8 +124,6 @@ class Traffic:
                 self._gather_vehicle(i, kind, item)
             else:
                 self._gather_object(i, item)
-        if not np.isfinite(self._state).all():
-            raise Unknown("a vehicle with NaN or infinite state")
 
     def _allocate(self, items: list[Any], n: int) -> None:
         kinds = [vehicle_kind(type(vehicle)) for vehicle in items[:n]]
@@ -139,8 +136,6 @@ class Traffic:
         m = len(items)
         self.n, self.items, self.kinds = n, items, kinds
         self.records = np.zeros(m + 1, VEHICLE)
-        floats = self.records.view(float).reshape(m + 1, -1)
-        self._state = floats[:m, : len(STATE_FLOATS)]
         self._traits: list[Any] = [None] * m
         self._sizes = [self._checked_size(item) for item in items]
         self.routes = np.zeros((m, ROUTE_LENGTH, 2), np.int64)

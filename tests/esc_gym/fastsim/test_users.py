@@ -1,0 +1,336 @@
+"""What users do to an environment between its steps, and classes of their own.
+
+Each must be simulated exactly, compiled or not: whatever the kernels cannot know, stock code runs.
+"""
+
+from __future__ import annotations
+
+import copy
+from functools import partial
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from highway_env.envs.exit_env import ExitEnv
+from highway_env.envs.highway_env import HighwayEnvFast
+from highway_env.envs.intersection_env import IntersectionEnv
+from highway_env.envs.u_turn_env import UTurnEnv
+from highway_env.road.lane import StraightLane
+from highway_env.road.regulation import RegulatedRoad
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
+
+import esc_gym
+from esc_gym import SetObservation
+from tests.esc_gym.fastsim.lockstep import crashed, happened, lockstep
+from tests.esc_gym.fastsim.test_scenes import Scene, ordinary_traffic, others
+
+
+class Meddler(gym.Wrapper):
+    """Calls ``change(env.unwrapped)`` before the second and the fourth step of each episode."""
+
+    def __init__(self, env, change):
+        super().__init__(env)
+        self.change, self.steps = change, 0
+
+    def reset(self, **arguments):
+        self.steps = 0
+        return super().reset(**arguments)
+
+    def step(self, action):
+        self.steps += 1
+        if self.steps in (2, 4):
+            self.change(self.unwrapped)
+        return super().step(action)
+
+
+def meddled(env_id, change):
+    return Meddler(gym.make(env_id), change)
+
+
+def add(env, at=None):
+    ego = env.vehicle
+    lane = (*ego.lane_index[:2], 0)
+    x = env.road.network.get_lane(lane).local_coordinates(ego.position)[0]
+    vehicle = IDMVehicle.make_on_lane(env.road, lane, x + 20, speed=8.0)
+    vehicle.route = [lane]  # an intersection takes vehicles without one off the road
+    vehicles = env.road.vehicles
+    vehicles.insert(len(vehicles) if at is None else at, vehicle)
+
+
+def on_each(**attributes):
+    """A change: these attributes to every second vehicle of the traffic."""
+    return lambda env: [vars(vehicle).update(attributes) for vehicle in others(env)[::2]]
+
+
+def on_lanes(**attributes):
+    return lambda env: [vars(lane).update(attributes) for lane in env.road.network.lanes_list()]
+
+
+def new_lane(env):
+    network = env.road.network
+    lane = network.graph["0"]["1"][-1]
+    side = [0, StraightLane.DEFAULT_WIDTH]
+    network.add_lane("0", "1", StraightLane(lane.start + side, lane.end + side, speed_limit=30))
+
+
+def new_network(env):
+    """Another network object with other lanes, and everybody on it."""
+    env.road.network = RoadNetwork.straight_road_network(4, speed_limit=15)
+    for vehicle in env.road.vehicles:
+        vehicle.on_state_update()
+        if hasattr(vehicle, "target_lane_index"):
+            vehicle.target_lane_index = vehicle.lane_index
+
+
+def brake_hard(self, action=None):
+    self.action = {"steering": 0.0, "acceleration": -4.0}
+
+
+def method_of_one(env):
+    for vehicle in others(env)[:2]:
+        vehicle.act = brake_hard.__get__(vehicle)
+
+
+def teleport(env):
+    for vehicle in others(env)[::2]:
+        vehicle.position += (7.0, 0.0)
+        vehicle.on_state_update()
+
+
+CHANGES = {
+    "teleport": teleport,
+    "add": add,
+    "add as the first": partial(add, at=0),
+    "remove": lambda env: env.road.vehicles.pop(),
+    "remove the ego": lambda env: setattr(env.road, "vehicles", others(env)),
+    "swap": lambda env: env.road.vehicles.reverse(),
+    "obstacle": lambda env: env.road.objects.append(
+        Obstacle(env.road, env.vehicle.position + np.array([15.0, 0.0]))
+    ),
+    "speed": on_each(speed=12),
+    "float32 speed": on_each(speed=np.float32(12.3)),
+    "target speed": on_each(target_speed=np.float32(17.3)),
+    "target speed of the ego": lambda env: setattr(env.vehicle, "target_speed", np.float32(22.3)),
+    "politeness": on_each(POLITENESS=0.5, LANE_CHANGE_MIN_ACC_GAIN=0.01),
+    "reckless": on_each(DISTANCE_WANTED=1.0, COMFORT_ACC_MIN=-9.0),
+    "crash": on_each(crashed=True),
+    "no lane changes": on_each(enable_lane_change=False),
+    "method": method_of_one,
+    "limits": on_lanes(speed_limit=11.0),
+    "widths": on_lanes(width=1.0),
+    "forbidden": on_lanes(forbidden=True),
+    "frequencies": lambda env: env.config.update(simulation_frequency=10, policy_frequency=2),
+    "connected": lambda env: vars(env.road).update(neighbour_vehicles_connected_lanes=True),
+}
+
+
+@pytest.mark.parametrize("env_id", ["highway-fast-v0", "merge-v0", "intersection-v0"])
+@pytest.mark.parametrize("name", CHANGES)
+def test_changes_between_steps(name, env_id):
+    lockstep(partial(meddled, env_id, CHANGES[name]), steps=6, seeds=[1], compiled=None)
+
+
+@pytest.mark.parametrize("change", [new_lane, new_network])
+def test_changes_of_the_network(change):
+    lockstep(partial(meddled, "highway-fast-v0", change), steps=6, seeds=[1], compiled=None)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "cls", "name", "value"),
+    [
+        ("highway-fast-v0", IDMVehicle, "POLITENESS", 0.4),
+        ("highway-fast-v0", IDMVehicle, "LANE_CHANGE_DELAY", 0.5),
+        ("highway-fast-v0", Vehicle, "MAX_SPEED", 9.0),
+        ("highway-fast-v0", IDMVehicle, "desired_gap", lambda *vehicles, projected=True: 30.0),
+        ("highway-fast-v0", StraightLane, "on_lane", lambda *place, margin=0: True),
+        ("intersection-v0", RegulatedRoad, "YIELDING_COLOR", (200, 0, 0)),
+        ("intersection-v0", RegulatedRoad, "YIELD_DURATION", 1.0),
+        ("intersection-v0", RegulatedRoad, "REGULATION_FREQUENCY", 4),
+    ],
+)
+def test_changed_classes(env_id, cls, name, value, monkeypatch):
+    make = partial(gym.make, env_id)
+    plain = lockstep(make, steps=5, seeds=[0])
+    monkeypatch.setattr(cls, name, value)
+    changed = lockstep(make, steps=5, seeds=[0], compiled=None)
+    assert str(plain) != str(changed)
+
+
+class Sleepy(IDMVehicle):
+    """Overrides what the kernels compute."""
+
+    def desired_gap(self, ego_vehicle, front_vehicle=None, projected=True):
+        return 2 * super().desired_gap(ego_vehicle, front_vehicle, projected)
+
+
+class Named(IDMVehicle):
+    """Overrides nothing that they compute."""
+
+    TIME_WANTED = 2.5
+
+    def __str__(self):
+        return "Named"
+
+
+class Icy(Road):
+    def step(self, dt):
+        super().step(1.01 * dt)
+
+
+class Banked(StraightLane):
+    def heading_at(self, longitudinal):
+        return self.heading + 1e-3
+
+
+def traffic_of(cls):
+    def change(env):
+        env.road.vehicles[1:] = [cls.create_from(vehicle) for vehicle in others(env)]
+
+    return ordinary_traffic(change)
+
+
+def on_road_of(cls):
+    def change(env):
+        road = env.road
+        env.road = cls(road.network, road.vehicles, road.objects, np_random=env.np_random)
+        for vehicle in road.vehicles:
+            vehicle.road = env.road
+
+    return ordinary_traffic(change)
+
+
+def banked(env):
+    lane = env.road.network.get_lane(("0", "1", 1))
+    env.road.network.graph["0"]["1"][1] = Banked(lane.start, lane.end, speed_limit=30)
+    for vehicle in env.road.vehicles:
+        vehicle.on_state_update()
+
+
+@pytest.mark.parametrize(
+    ("build", "compiled"),
+    [
+        (traffic_of(Sleepy), False),
+        (traffic_of(Named), True),
+        (on_road_of(Icy), False),
+        (ordinary_traffic(banked), False),
+        (ordinary_traffic(method_of_one), False),
+    ],
+    ids=["vehicle", "harmless vehicle", "road", "lane", "method"],
+)
+def test_classes_of_their_own(build, compiled):
+    lockstep(partial(Scene, build), steps=5, compiled=compiled)
+
+
+class SlowMotion(HighwayEnvFast):
+    def _simulate(self, action=None):
+        super()._simulate(action)
+        super()._simulate(None)
+
+
+def test_simulate_of_their_own():
+    lockstep(SlowMotion, steps=4, compiled=False)
+
+
+def test_trajectories_are_recorded():
+    config = {"show_trajectories": True}
+    recording = lockstep(partial(gym.make, "merge-v0", config=config), steps=4, compiled=False)
+    assert happened(recording, lambda thing: thing.get("history"))
+
+
+class Planner(gym.Wrapper):
+    """Continues on a copy of the environment, as tree search does."""
+
+    def __init__(self, env, fork):
+        super().__init__(env)
+        self.fork = fork
+
+    def step(self, action):
+        before = self.env
+        self.env = self.fork(before)
+        before.step(action)  # the original must not share anything with the copy
+        return self.env.step(action)
+
+
+FORKS = {
+    "copy": copy.deepcopy,
+    "simplify": lambda env: env.simplify(),
+    "aggressive": lambda env: env.change_vehicles("highway_env.vehicle.behavior.AggressiveVehicle"),
+    "lane": lambda env: env.set_preferred_lane(1),
+    "randomize": lambda env: env.randomize_behavior(),
+    "field": lambda env: env.set_vehicle_field(("speed", 9.5)),
+    "route": lambda env: env.set_route_at_intersection("random"),
+}
+
+
+@pytest.mark.parametrize("cls", [UTurnEnv, IntersectionEnv])
+@pytest.mark.parametrize("name", FORKS)
+def test_planning_on_copies(name, cls):
+    if name == "lane" and cls is IntersectionEnv:
+        cls = ExitEnv  # highway-env sends vehicles to lanes that an intersection does not have
+    lockstep(lambda: Planner(cls(), FORKS[name]), steps=4, seeds=[1], compiled=None)
+
+
+def test_two_at_once():
+    """Nothing is shared between environments of one process."""
+
+    def ours():
+        other = esc_gym.accelerate(gym.make("merge-v0"))
+        other.reset(seed=9)
+        env = esc_gym.accelerate(gym.make("merge-v0"))
+        return Meddler(env, lambda _: other.step(0))
+
+    lockstep(partial(gym.make, "merge-v0"), ours)
+
+
+def test_accelerated_twice():
+    make = partial(gym.make, "merge-v0")
+    lockstep(make, lambda: esc_gym.accelerate(esc_gym.accelerate(make())), steps=4)
+
+
+class Filmed(gym.Wrapper):
+    """A frame of every step in its info; highway-env then also draws the sub-steps."""
+
+    def step(self, action):
+        *returned, info = super().step(action)
+        return *returned, info | {"frame": self.render()}
+
+
+def test_rendered(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    make = partial(gym.make, "merge-v0", render_mode="rgb_array")
+    lockstep(lambda: Filmed(make()), lambda: Filmed(esc_gym.accelerate(make())), compiled=None)
+
+
+class Reconfigured(gym.Wrapper):
+    """Every episode with another road, other traffic and other frequencies."""
+
+    def reset(self, *, seed=None, options=None):
+        driver = ["IDMVehicle", "AggressiveVehicle"][seed % 2]
+        config = {
+            "lanes_count": 2 + seed,
+            "vehicles_count": 12 - 2 * seed,
+            "other_vehicles_type": f"highway_env.vehicle.behavior.{driver}",
+            "simulation_frequency": 5 + 3 * seed,
+        }
+        return super().reset(seed=seed, options={"config": config})
+
+
+def test_configured_by_reset():
+    make = partial(gym.make, "highway-fast-v0")
+    lockstep(lambda: Reconfigured(make()), seeds=range(4), steps=5)
+
+
+@pytest.mark.parametrize("env_id", ["highway-fast-v0", "intersection-v1", "parking-v0"])
+def test_the_set_observation(env_id):
+    config = {"config": {"duration": 10}} if env_id != "parking-v0" else {}
+    make = partial(gym.make, f"esc_gym/{env_id}", **config)
+    recording = lockstep(partial(make, accelerate=False), make, steps=12)
+    assert set(recording[0][1]["observation"]) == {"ego", "vehicles", "mask"}
+    stock = partial(gym.make, env_id, **config)
+    lockstep(
+        lambda: SetObservation(stock(), accelerate=False), lambda: SetObservation(stock()), steps=4
+    )
+    assert happened(recording, crashed) or env_id == "parking-v0"
