@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ import numba
 import numpy as np
 from platformdirs import user_cache_path
 
+# Filled when Numba is imported.
+_settings: Any = import_module("numba.core.config")
 VARIABLE = "ESC_GYM_CACHE_DIR"
 
 
@@ -47,8 +50,8 @@ def _candidates() -> Iterator[Path]:
     if chosen := os.environ.get(VARIABLE):
         yield Path(chosen)
         return
-    if numba.config.CACHE_DIR:
-        yield Path(numba.config.CACHE_DIR) / "esc_gym"
+    if _settings.CACHE_DIR:
+        yield Path(_settings.CACHE_DIR) / "esc_gym"
     with suppress(RuntimeError):  # no home directory
         yield user_cache_path("esc_gym")
     user = os.getuid() if hasattr(os, "getuid") else ""
@@ -70,11 +73,11 @@ def cached(function: Callable[..., Any]) -> Any:
     directory = cache_directory()
     if directory is None:
         return numba.njit(function, error_model="numpy")
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(directory)
+    before, _settings.CACHE_DIR = _settings.CACHE_DIR, str(directory)
     try:
         return numba.njit(function, error_model="numpy", cache=True)
     finally:
-        numba.config.CACHE_DIR = before
+        _settings.CACHE_DIR = before
 
 
 def warm(first_calls: Callable[[], Any]) -> Any:

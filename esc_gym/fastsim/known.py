@@ -165,11 +165,13 @@ def patched() -> bool:
 
 
 def source_digest() -> str:
-    """What identifies the code that the kernels repeat, comments and all."""
+    """What identifies the code that the kernels repeat, comments and all.
+
+    Raises OSError where Python cannot find the source.
+    """
     digest = hashlib.sha256()
-    for function in (namespace[name] for namespace, names in _DEFINED for name in names):
-        if isinstance(function, property):
-            function = function.fget
-        if callable(function) or isinstance(function, staticmethod | classmethod):
+    for value in (namespace[name] for namespace, names in _DEFINED for name in names):
+        function: Any = value.fget if isinstance(value, property) else value
+        if callable(function) or isinstance(function, staticmethod):
             digest.update(inspect.getsource(getattr(function, "__func__", function)).encode())
     return digest.hexdigest()

@@ -45,7 +45,7 @@ class Network:
         self.most_lanes = max((index[2] + 1 for index in self.indexes), default=0)
         self.all_limited = all(lane.speed_limit is not None for lane in self.lanes)
         self._rules = self._read_rules()
-        self.records = np.zeros(len(self.lanes), LANE)
+        self.records: Any = np.zeros(len(self.lanes), LANE)
         self._poses: list[tuple[float, ...]] = []
         self._widths: list[float] = []
         self._exits: list[int] = []

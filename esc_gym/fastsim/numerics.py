@@ -5,7 +5,6 @@ for some inputs, so the kernels call NumPy's own inner loops, by address. ``np.d
 through BLAS, which on some processors fuses the second product into the sum; ``measure`` finds out
 which, by comparing, and everything is compared again before the first use.
 """
-# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
@@ -17,20 +16,23 @@ import numpy as np
 from highway_env import utils
 from numba import njit, types
 from numba.core import cgutils
-from numba.extending import intrinsic
+from numba.extending import intrinsic as numba_intrinsic
 
 from esc_gym.fastsim.records import Numerics
 
-_INNER = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 # Inlined: a call would pass every array of the scene anew, which costs more than most of these do.
-compiled = njit(forceinline=True, **_INNER)
+compiled: Any = njit(forceinline=True, **_INNER)
 # A call, for what is long and rarely needed: inlined, it would only take long to compile.
-outlined = njit(**_INNER)
+outlined: Any = njit(**_INNER)
 # Part of its only caller: one function less for LLVM to optimise on its own first.
-merged = njit(inline="always", **_INNER)
+merged: Any = njit(inline="always", **_INNER)
 FUNCTIONS = ("sin", "cos", "tan", "arcsin", "arctan", "arctan2", "power")
 # How a0*b0 + a1*b1 may be rounded: both products, the first one only, the second one only.
 PLAIN, FUSED_SECOND, FUSED_FIRST = range(3)
+
+# Their first argument is Numba's, and none of the caller's.
+intrinsic: Any = numba_intrinsic
 
 _DOUBLE, _INT64, _BYTE = ir.DoubleType(), ir.IntType(64), ir.IntType(8)
 _POINTER = _BYTE.as_pointer()
@@ -58,30 +60,30 @@ def _call_loop(builder: Any, address: Any, data: Any, operands: list) -> Any:
 
 
 @intrinsic
-def unary(typing_context, address, data, x):  # type: ignore[no-untyped-def]
+def unary(typing_context, address, data, x):
     """f(x) by the NumPy loop at ``address``."""
 
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, arguments):
         return _call_loop(builder, arguments[0], arguments[1], [arguments[2]])
 
     return types.float64(types.int64, types.int64, types.float64), generate
 
 
 @intrinsic
-def binary(typing_context, address, data, x, y):  # type: ignore[no-untyped-def]
+def binary(typing_context, address, data, x, y):
     """f(x, y) by the NumPy loop at ``address``."""
 
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, arguments):
         return _call_loop(builder, arguments[0], arguments[1], [arguments[2], arguments[3]])
 
     return types.float64(types.int64, types.int64, types.float64, types.float64), generate
 
 
 @intrinsic
-def libm(typing_context, address, x, y):  # type: ignore[no-untyped-def]
+def libm(typing_context, address, x, y):
     """f(x, y) by a C function: what ``**`` between two floats calls."""
 
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, arguments):
         shape = ir.FunctionType(_DOUBLE, [_DOUBLE, _DOUBLE]).as_pointer()
         return builder.call(builder.inttoptr(arguments[0], shape), arguments[1:])
 
@@ -89,20 +91,20 @@ def libm(typing_context, address, x, y):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def fused(typing_context, x, y, z):  # type: ignore[no-untyped-def]
+def fused(typing_context, x, y, z):
     """x * y + z, rounded once."""
 
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, arguments):
         return builder.fma(*arguments)
 
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
 @intrinsic
-def borrowed(typing_context, array):  # type: ignore[no-untyped-def]
+def borrowed(typing_context, array):
     """The same array, not counted as a reference: counting costs more than most of the kernels."""
 
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, arguments):
         view = context.make_array(signature.args[0])(context, builder, arguments[0])
         view.meminfo = cgutils.get_null_value(view.meminfo.type)
         view.parent = cgutils.get_null_value(view.parent.type)

@@ -126,7 +126,7 @@ class Traffic:
                 self._gather_object(i, item)
 
     def _allocate(self, items: list[Any], n: int) -> None:
-        kinds = [vehicle_kind(type(vehicle)) for vehicle in items[:n]]
+        kinds: list[Any] = [vehicle_kind(type(vehicle)) for vehicle in items[:n]]
         kinds += [object_kind(type(item)) for item in items[n:]]
         if len(set(map(id, items))) < len(items):
             raise Unknown("one vehicle more than once on the road")
@@ -135,7 +135,7 @@ class Traffic:
                 raise Unknown(f"class {type(item).__name__}")
         m = len(items)
         self.n, self.items, self.kinds = n, items, kinds
-        self.records = np.zeros(m + 1, VEHICLE)
+        self.records: Any = np.zeros(m + 1, VEHICLE)
         self._traits: list[Any] = [None] * m
         self._sizes = [self._checked_size(item) for item in items]
         self.routes = np.zeros((m, ROUTE_LENGTH, 2), np.int64)
