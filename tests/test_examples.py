@@ -11,6 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"
 SMALL = {
+    "accelerate.py": [],
     "wrap_an_env.py": [],
     "extractor_in_sb3.py": ["64"],
     "train_sac.py": ["32", "run"],
