@@ -9,6 +9,7 @@ which, by comparing, and everything is compared again before the first use.
 from __future__ import annotations
 
 import ctypes
+from itertools import product
 from typing import Any
 
 import llvmlite.ir as ir
@@ -115,19 +116,19 @@ def borrowed(typing_context, array):
 
 @compiled
 def dot(rounding, a0, a1, b0, b1):
-    """a0*b0 + a1*b1 as BLAS rounds it."""
+    """a0*b0 + a1*b1 as BLAS rounds it; BLAS adds to +0.0, which makes -0.0 positive."""
     if rounding == FUSED_SECOND:
-        return fused(a1, b1, a0 * b0)
+        return fused(a1, b1, a0 * b0) + 0.0
     if rounding == FUSED_FIRST:
-        return fused(a0, b0, a1 * b1)
-    return a0 * b0 + a1 * b1
+        return fused(a0, b0, a1 * b1) + 0.0
+    return a0 * b0 + a1 * b1 + 0.0
 
 
 @compiled
 def dot3(rounding, a0, a1, a2, b0, b1, b2):
     """A dot product of three, left to right."""
     if rounding == FUSED_SECOND:
-        return fused(a2, b2, fused(a1, b1, a0 * b0))
+        return fused(a2, b2, fused(a1, b1, a0 * b0)) + 0.0
     return dot(rounding, a0, a1, b0, b1) + a2 * b2
 
 
@@ -176,7 +177,7 @@ def _loops() -> dict[str, int]:
     return {**loops, "libm_pow": _libm_pow()}
 
 
-def measure(check: Any, count: int = 400) -> tuple[Numerics | None, str]:
+def measure(check: Any, count: int = 600) -> tuple[Numerics | None, str]:
     """This machine's numerics, and "" or what the kernels cannot reproduce here.
 
     check: the compiled ``kernel.check``, which computes what ``_truth`` computes with NumPy.
@@ -194,7 +195,8 @@ def measure(check: Any, count: int = 400) -> tuple[Numerics | None, str]:
         numerics = Numerics(**loops, dot=rounding, matrix_vector=rounding, matrix_matrix=rounding)
         output = np.empty_like(truth)
         check(np.array(numerics, dtype=np.int64), inputs, output)
-        equal = (output == truth).all(axis=0)
+        # As integers: 0.0 and -0.0 are different here.
+        equal = (output.view(np.int64) == truth.view(np.int64)).all(axis=0)
         spans = zip(WIDTHS, edges[:-1], edges[1:], strict=True)
         wrong = {name for name, low, high in spans if not equal[low:high].all()}
         for group in ROUNDED:
@@ -217,9 +219,15 @@ ROUNDED = (("dot", "dot3", "norm"), ("matrix_vector",), ("polygon", "corners"))
 
 
 def _inputs(count: int) -> np.ndarray:
-    """[count, 5]: an angle, a number in [-1, 1], a position, an exponent near 4."""
+    """[count, 5]: an angle, a number in [-1, 1], a position, an exponent near 4.
+
+    The first rows have zeros of both signs in all combinations.
+    """
     rng = np.random.default_rng(0)
-    return rng.uniform(-1.0, 1.0, (count, 5)) * [7.0, 1.0, 100.0, 30.0, 0.5] + [0, 0, 0, 0, 4.0]
+    inputs = rng.uniform(-1.0, 1.0, (count, 5)) * [7.0, 1.0, 100.0, 30.0, 0.5] + [0, 0, 0, 0, 4.0]
+    zeros = list(product((0.0, -0.0, 0.5, -0.5), repeat=4))
+    inputs[: len(zeros), :4] = zeros
+    return inputs
 
 
 def _truth(inputs: np.ndarray) -> np.ndarray:

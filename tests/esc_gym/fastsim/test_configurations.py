@@ -139,7 +139,13 @@ def test_configuration(name):
 @pytest.mark.parametrize("driver", ["LinearVehicle", "AggressiveVehicle", "DefensiveVehicle"])
 @pytest.mark.parametrize(
     ("env_id", "steps"),
-    [("highway-fast-v0", 8), ("merge-v1", 12), ("roundabout-v0", 8), ("intersection-v0", 5)],
+    [
+        ("highway-fast-v0", 8),
+        ("exit-v0", 4),
+        ("merge-v1", 12),
+        ("roundabout-v0", 8),
+        ("intersection-v0", 5),
+    ],
 )
 def test_linear_drivers(env_id, steps, driver):
     config = {"other_vehicles_type": f"highway_env.vehicle.behavior.{driver}"}

@@ -18,11 +18,11 @@ STEPS = {
     "intersection-v0": 13,
     "intersection-multi-agent": 6,
     "intersection": 8,
-    "merge": 20,
-    "racetrack": 14,
+    "merge": 18,
+    "racetrack": 12,
     "parking": 25,
     "lane-keeping": 60,
-    "": 15,
+    "": 12,
 }
 
 TWO_AXES = {"action": {"type": "ContinuousAction"}}
