@@ -78,12 +78,14 @@ class ObservationConfig(_Model):
     """What a set without vehicles looks like."""
     on_overflow: Literal["warn", "error"] = "warn"
     """What happens when more than max_vehicles are near."""
+    accelerate: bool = True
+    """Simulate with compiled code, on the same trajectories."""
 
 
 class EncoderConfig(_Model):
     """The features extractor."""
 
-    hidden: tuple[PositiveInt, ...] = (128, 128)
+    hidden: tuple[PositiveInt, ...] = (64, 64)
     """Hidden widths of ESC's h; other representations get as many parameters as that has."""
     code_dim: PositiveInt | None = None
     """d3; default: N*d1 + 1, the paper's Theorem 1."""
@@ -107,8 +109,8 @@ class ContinuousConfig(_Model):
 class PPOConfig(_Model):
     """Stable-Baselines3 PPO."""
 
-    learning_rate: PositiveFloat = 3e-4
-    n_steps: Annotated[int, Field(ge=2)] = 128
+    learning_rate: PositiveFloat = 5e-4
+    n_steps: Annotated[int, Field(ge=2)] = 64
     """Steps per environment in one rollout."""
     batch_size: Annotated[int, Field(ge=2)] = 128
     n_epochs: PositiveInt = 10
@@ -120,7 +122,7 @@ class PPOConfig(_Model):
     max_grad_norm: PositiveFloat = 0.5
     ortho_init: bool = True
     """SB3's orthogonal initialisation, of the encoder too; false: PyTorch's own."""
-    net_arch: tuple[PositiveInt, ...] = (128, 128)
+    net_arch: tuple[PositiveInt, ...] = (64, 64)
     """Hidden widths of the policy and of the value network after the features extractor."""
 
 
@@ -161,10 +163,13 @@ class TrainConfig(_Model):
     steps: PositiveInt = 100_000
     """Training steps over all environments."""
     seed: Seed = 0
-    n_envs: PositiveInt = 4
+    n_envs: PositiveInt = 8
     """Environments that training steps at once."""
     vec: Literal["auto", "dummy", "subproc"] = "auto"
-    """One process for all environments, or one each; auto: one each where there are cores."""
+    """dummy: one process for all environments; subproc: one each; auto: one process where the
+    simulation is compiled, which costs less than to send its observations."""
+    threads: PositiveInt = 1
+    """torch's threads on the CPU; more pay for wide networks and large batches on idle cores."""
     device: str = "auto"
     """torch device: auto, cpu, cuda, cuda:1."""
     run_dir: Path | None = None

@@ -62,15 +62,18 @@ def default_run_dir(config: TrainConfig) -> Path:
     return Path("runs") / f"{config.env}-{representation}-{config.algo}-{config.seed}-{stamp}"
 
 
-def create(path: Path, config: TrainConfig, wrapper: dict[str, Any]) -> Path:
-    """A new run directory with config.yaml, command.txt, versions.json and wrapper.json."""
+def create(path: Path, config: TrainConfig, wrapper: dict[str, Any], device: str = "cpu") -> Path:
+    """A new run directory with config.yaml, command.txt, versions.json and wrapper.json.
+
+    device: what the run computes on, for versions.json.
+    """
     check_free(path)
     try:
         (path / "checkpoints").mkdir(parents=True)
     except OSError as error:
         raise UserError(f"run directory {path}: {error.strerror}") from error
     note_session(path, config)
-    write_json(path / "versions.json", versions())
+    write_json(path / "versions.json", versions() | {"device": device})
     write_json(path / "wrapper.json", wrapper)
     return path
 

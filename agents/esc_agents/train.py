@@ -31,6 +31,7 @@ from esc_agents.evaluate import Summary, as_rows, blind_policies, evaluate, mode
 from esc_agents.report import results_table, show
 from esc_gym.encoders import representation
 from esc_gym.extractors import SetExtractor
+from esc_gym.fastsim import report
 from esc_gym.matching import parameter_count
 
 WORKERS_IMPORT = ["stable_baselines3.common.vec_env.subproc_vec_env", "esc_agents.envs"]
@@ -97,9 +98,7 @@ def _arguments(config: TrainConfig) -> dict[str, Any]:
 def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
     """``count`` environments of the run, in processes of their own where that pays."""
     made = factories(config, count, **options)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    spread = config.vec == "subproc" or (config.vec == "auto" and count > 1 and (cores or 1) > 1)
-    if not spread:
+    if config.vec == "dummy" or (config.vec == "auto" and not _worth_processes(config, count)):
         return DummyVecEnv(made)
     if "forkserver" in multiprocessing.get_all_start_methods():
         # Workers are forked off a process that has imported all this, instead of each importing.
@@ -107,8 +106,23 @@ def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
     return SubprocVecEnv(made)
 
 
+def _worth_processes(config: TrainConfig, count: int) -> bool:
+    """Whether ``count`` environments have more to compute than to say to each other."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    if count < 2 or (cores or 1) < 2:
+        return False
+    env = make_env(config)
+    try:
+        env.reset(seed=config.seed)
+        env.step(env.action_space.sample())
+        return report(env).compiled == 0
+    finally:
+        env.close()
+
+
 def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
     """An untrained SB3 model of the run's algorithm and representation."""
+    torch.set_num_threads(config.threads)
     settings = config.hyperparameters.model_dump(exclude={"net_arch", "ortho_init"})
     policy: dict[str, Any] = {
         "features_extractor_class": SetExtractor,
@@ -149,7 +163,7 @@ def train(config: TrainConfig, *, resume: Path | None = None) -> bool:
             run.note_session(directory, config)
         else:
             model = new_model(config, envs)
-            run.create(directory, config, wrapper_json(probe))
+            run.create(directory, config, wrapper_json(probe), str(model.device))
         say(describe(config, model, probe, directory))
         with StopOnInterrupt() as stop:
             _learn(config, model, directory, judges, stop)
@@ -174,6 +188,7 @@ def train(config: TrainConfig, *, resume: Path | None = None) -> bool:
 def load_model(config: TrainConfig, directory: Path) -> BaseAlgorithm:
     """The newest saved model of a run, without environments."""
     check_device(config.device)
+    torch.set_num_threads(config.threads)
     path = run.latest_model(directory)
     try:
         return ALGORITHMS[config.algo].load(path, device=config.device)

@@ -65,7 +65,7 @@ def test_flags_override_the_scenario(monkeypatch):
     assert (config.env, config.seed, config.observation.max_vehicles) == ("highway-v0", 3, 7)
     assert config.env_config["lanes_count"] == 2
     assert config.env_config["vehicles_count"] == 40  # what the scenario says stays
-    assert config.observation.ranges["x"] == (-100.0, 100.0)
+    assert config.observation.ranges["x"] == (-30.0, 30.0)
     assert config.encoder.arguments == {"scale": 0.1}
 
 

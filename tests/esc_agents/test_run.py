@@ -72,11 +72,12 @@ def test_metrics_go_on_after_the_step_that_was_saved(tmp_path):
 def test_a_new_run_directory(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["/usr/bin/esc-train", "--env-config", "{lanes_count: 2}"])
     config = tiny(seed=3)
-    path = run.create(tmp_path / "deep" / "run", config, {"max_vehicles": 6})
+    path = run.create(tmp_path / "deep" / "run", config, {"max_vehicles": 6}, "abacus")
     assert load_config(path / "config.yaml") == config == run.open_run(path)
     assert (path / "command.txt").read_text() == "esc-train --env-config '{lanes_count: 2}'\n"
     versions = json.loads((path / "versions.json").read_text())
     assert versions["python"] == platform.python_version()
+    assert versions["device"] == "abacus"
     assert versions.keys() >= {"torch", "highway-env", "stable-baselines3", "platform"}
     assert json.loads((path / "wrapper.json").read_text()) == {"max_vehicles": 6}
     assert (path / "checkpoints").is_dir()

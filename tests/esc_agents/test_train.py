@@ -17,7 +17,8 @@ from esc_agents import callbacks, run
 from esc_agents.envs import make_env
 from esc_agents.errors import UserError
 from esc_agents.run import STEP
-from esc_agents.train import check, train, vectorise
+from esc_agents.train import check, load_model, train, vectorise
+from esc_gym.fastsim import Report
 from tests.esc_agents.tiny import PPO as PPO_SETTINGS, SAC as SAC_SETTINGS, SAC_RUN, tiny
 
 DRIVING = {
@@ -233,3 +234,21 @@ def test_processes_of_their_own():
     finally:
         one.close()
     assert isinstance(vectorise(tiny("lane-keeping-v0", vec="auto"), 1), DummyVecEnv)
+
+
+@pytest.mark.parametrize(("compiled", "expected"), [(1, DummyVecEnv), (0, list)])
+def test_auto_takes_processes_where_the_simulation_is_not_compiled(compiled, expected, monkeypatch):
+    monkeypatch.setattr("esc_agents.train.SubprocVecEnv", list)  # no process starts
+    monkeypatch.setattr("esc_agents.train.report", lambda env: Report(compiled))
+    monkeypatch.setattr("os.sched_getaffinity", lambda process: {0, 1}, raising=False)
+    assert isinstance(vectorise(tiny("lane-keeping-v0", vec="auto"), 2), expected)
+
+
+def test_torch_computes_with_the_threads_asked_for(own_run):
+    before = torch.get_num_threads()
+    try:
+        for threads in (2, 1):
+            load_model(tiny(threads=threads), own_run)
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)

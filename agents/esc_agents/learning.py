@@ -1,0 +1,291 @@
+"""Finished runs of one scenario, seed by seed, beside the policies that never look.
+
+python -m esc_agents.learning --runs runs/a runs/b runs/c --out docs/learning.md
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from tyro import conf
+
+from esc_agents import run
+from esc_agents.cli import guarded, parse
+from esc_agents.config import TrainConfig, load_config, scenarios
+from esc_agents.errors import UserError
+from esc_agents.evaluate import Summary
+from esc_agents.report import markdown
+from esc_agents.statistics import mean_interval
+from esc_agents.train import say
+
+OWN = {"seed", "run_dir", "device", "threads", "vec", "checkpoint_every"}
+"""Fields in which runs of one scenario may differ."""
+
+
+@dataclass(frozen=True)
+class LearningArguments:
+    """Report what finished runs of one scenario, one per seed, have learned."""
+
+    runs: Annotated[tuple[Path, ...], conf.arg(metavar="DIR ...")]
+    """Run directories of esc-train."""
+    out: Path = Path("docs/learning.md")
+    """Markdown file to write; a figure (.png) and the metrics (.csv) go beside it."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run.
+
+    trained, blind: results on the evaluation's episodes, blind ones by policy. curve: training
+    steps [k] and returns [k, episodes] of the evaluations on the way. metrics: rows of metrics.csv.
+    """
+
+    path: Path
+    config: TrainConfig
+    commands: tuple[str, ...]
+    versions: dict[str, str]
+    trained: Summary
+    blind: dict[str, Summary]
+    curve: tuple[NDArray, NDArray]
+    metrics: list[dict[str, str]]
+
+    @classmethod
+    def read(cls, path: Path) -> Run:
+        """Raises UserError where ``path`` holds no finished run."""
+        config = run.open_run(path)
+        try:
+            results = _summaries(json.loads((path / "results.json").read_text(encoding="utf-8")))
+            with np.load(path / "evaluations.npz") as saved:
+                curve = saved["timesteps"], saved["results"]
+            with (path / "metrics.csv").open(newline="", encoding="utf-8") as file:
+                metrics = list(csv.DictReader(file))
+            versions = json.loads((path / "versions.json").read_text(encoding="utf-8"))
+            commands = (path / "command.txt").read_text(encoding="utf-8").splitlines()
+            trained = results.pop(config.repr)
+        except FileNotFoundError as missing:
+            raise UserError(
+                f"{path} is no finished run: expected {Path(missing.filename).name} in it; "
+                f"finish it with esc-train --resume {path}"
+            ) from missing
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UserError(f"{path} is damaged: {type(error).__name__}: {error}") from error
+        return cls(path, config, tuple(commands), versions, trained, results, curve, metrics)
+
+    @property
+    def best_blind(self) -> str:
+        """The blind policy whose interval reaches highest."""
+        return max(self.blind, key=lambda name: self.blind[name].reward_high)
+
+    @property
+    def above(self) -> bool:
+        """Whether the trained interval lies above that of every blind policy."""
+        return self.trained.reward_low > self.blind[self.best_blind].reward_high
+
+
+def _summaries(rows: list[dict[str, Any]]) -> dict[str, Summary]:
+    """``as_rows`` back; JSON has null for no time to collision."""
+    values = [{k: inf if v is None else v for k, v in row.items()} for row in rows]
+    return {row.pop("policy"): Summary(**row) for row in values}
+
+
+def main() -> None:
+    """Entry point of ``python -m esc_agents.learning``."""
+    guarded("learning", lambda: command(sys.argv[1:]))
+
+
+def command(args: list[str]) -> int:
+    """0: done."""
+    arguments = parse("learning", LearningArguments, args)
+    runs = sorted((Run.read(path) for path in arguments.runs), key=lambda r: r.config.seed)
+    check_alike(runs)
+    out = arguments.out
+    out.parent.mkdir(parents=True, exist_ok=True)
+    figure = draw(runs)
+    run.write_atomically(
+        out.with_suffix(".png"), lambda file: figure.savefig(file, format="png", dpi=150)
+    )
+    run.write_text(out.with_suffix(".csv"), metrics_table(runs))
+    run.write_text(out, text(runs, arguments) + "\n")
+    say(verdict(runs))
+    say(f"Written: {', '.join(str(out.with_suffix(end)) for end in ('.md', '.png', '.csv'))}")
+    return 0
+
+
+def check_alike(runs: Sequence[Run]) -> None:
+    """Raises UserError unless the runs differ in their seeds and nothing that matters."""
+    seeds = [r.config.seed for r in runs]
+    if len(set(seeds)) < len(seeds):
+        raise UserError(f"runs: expected a different seed each, got {seeds}")
+    first = runs[0]
+    values = first.config.model_dump(exclude=OWN)
+    for other in runs[1:]:
+        theirs = other.config.model_dump(exclude=OWN)
+        if differing := [key for key in values if values[key] != theirs[key]]:
+            raise UserError(
+                f"runs: expected one scenario with the same settings, but {first.path} and "
+                f"{other.path} differ in {', '.join(differing)}"
+            )
+        if other.blind != first.blind:
+            raise UserError(
+                f"runs: the blind policies of {first.path} and {other.path} differ, so their "
+                "environments do; train both with the same version"
+            )
+
+
+def scenario_name(config: TrainConfig) -> str:
+    """The shipped scenario that a resolved configuration came from, else its highway-env id."""
+    for name in scenarios():
+        shipped = load_config(name)
+        if (shipped.env, shipped.env_config) == (config.env, config.env_config):
+            return name
+    return config.env
+
+
+def verdict(runs: Sequence[Run]) -> str:
+    """One plain sentence: above every blind baseline, or not."""
+    name, above = runs[0].config.repr, [r for r in runs if r.above]
+    if len(above) == len(runs):
+        return (
+            f"Above every blind baseline: in all {len(runs)} runs the 95 % interval of the return "
+            f"of {name} lies above those of all blind policies."
+        )
+    rest = [r for r in runs if not r.above]
+    cases = "; ".join(
+        f"seed {r.config.seed}: {_interval(r.trained)} beside {_interval(r.blind[r.best_blind])} "
+        f"of {r.best_blind}"
+        for r in rest
+    )
+    return (
+        f"Not above every blind baseline: the 95 % intervals of the return lie apart in "
+        f"{len(above)} of {len(runs)} runs ({cases})."
+    )
+
+
+def _interval(summary: Summary) -> str:
+    return f"{summary.reward:.2f} [{summary.reward_low:.2f}, {summary.reward_high:.2f}]"
+
+
+def text(runs: Sequence[Run], arguments: LearningArguments) -> str:
+    """The Markdown page."""
+    config, out = runs[0].config, arguments.out
+    episodes = runs[0].trained.episodes
+    rows = {f"{config.repr}, seed {r.config.seed}": r.trained for r in runs} | runs[0].blind
+    seeds = ", ".join(str(r.config.seed) for r in runs)
+    paths = " ".join(map(str, arguments.runs))
+    return "\n".join(
+        [
+            f"# Learning: {scenario_name(config)}",
+            "",
+            verdict(runs),
+            "",
+            f"{config.algo.upper()} with `{config.repr}` on {config.env}, {config.steps:,} steps, "
+            f"seeds {seeds}; {_versions(runs)}. Written by `python -m esc_agents.learning --runs "
+            f"{paths} --out {out}` from the runs of",
+            "",
+            "```",
+            *(_without_run_dir(line) for r in runs for line in r.commands),
+            "```",
+            "",
+            f"Every policy drove the same {episodes} episodes (seeds from "
+            f"{config.evaluation.seed} on, which training never sees); brackets hold 95 % "
+            "intervals over these episodes.",
+            "",
+            markdown(rows),
+            "",
+            f"![Return over training steps, by seed, and of the blind policies]"
+            f"({out.with_suffix('.png').name})",
+            "",
+            "Return on these episodes during training; bands are 95 % intervals. What each run "
+            f"logged: [{out.with_suffix('.csv').name}]({out.with_suffix('.csv').name}).",
+        ]
+    )
+
+
+def _without_run_dir(command: str) -> str:
+    """Where somebody kept a run says nothing about it."""
+    return re.sub(r" --run-dir[ =]\S+", "", command)
+
+
+def _versions(runs: Sequence[Run]) -> str:
+    """Versions, device and commit, several where the runs' differ."""
+    names = dict.fromkeys(name for r in runs for name in r.versions)
+    found = {name: dict.fromkeys(r.versions.get(name, "unknown") for r in runs) for name in names}
+    return ", ".join(f"{name} {' and '.join(values)}" for name, values in found.items())
+
+
+def metrics_table(runs: Sequence[Run]) -> str:
+    """metrics.csv of every run, the seed in front, numbers to six digits."""
+    columns = dict.fromkeys(key for r in runs for row in r.metrics for key in row)
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow(["seed", *columns])
+    for r in runs:
+        for row in r.metrics:
+            writer.writerow([r.config.seed, *(_short(row.get(key) or "") for key in columns)])
+    return table.getvalue()
+
+
+def _short(value: str) -> str:
+    return value if not value or value.isdigit() else f"{float(value):.6g}"
+
+
+def draw(runs: Sequence[Run]) -> Figure:
+    """Evaluation return of every seed over training steps, the blind policies as lines."""
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    axes: Axes = figure.subplots()
+    for r in runs:
+        steps, returns = r.curve
+        ends = steps[-1:] if len(steps) else np.array([0])
+        means = returns.mean(axis=1) if len(steps) else np.array([])
+        x = np.append(steps, max(r.config.steps, *ends))
+        y = np.append(means, r.trained.reward)
+        (line,) = axes.plot(x, y, marker="o", markersize=4, label=f"seed {r.config.seed}")
+        intervals = np.array([mean_interval(row)[1:] for row in returns]).reshape(-1, 2)
+        low = np.append(intervals[:, 0], r.trained.reward_low)
+        high = np.append(intervals[:, 1], r.trained.reward_high)
+        axes.fill_between(x, low, high, color=line.get_color(), alpha=0.12, linewidth=0)
+    _blind_lines(axes, runs[0].blind)
+    config = runs[0].config
+    axes.set_title(f"{scenario_name(config)}: {config.repr}, {config.algo.upper()}")
+    axes.set_xlabel("training steps")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+    axes.set_ylabel(f"return, mean of {runs[0].trained.episodes} episodes")
+    axes.legend(frameon=False, loc="upper left")
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _blind_lines(axes: Axes, blind: Mapping[str, Summary]) -> None:
+    """A line and a band each, labelled at the right edge, where the labels are kept apart."""
+    low, high = axes.get_ylim()
+    values = [v for s in blind.values() for v in (s.reward_low, s.reward_high)]
+    low, high = min(low, *values), max(high, *values)
+    margin = 0.03 * (high - low)
+    axes.set_ylim(low - margin, high + margin)
+    place = -inf
+    for name, summary in sorted(blind.items(), key=lambda item: item[1].reward):
+        axes.axhspan(summary.reward_low, summary.reward_high, color="0.4", alpha=0.07, linewidth=0)
+        axes.axhline(summary.reward, color="0.4", linestyle="--", linewidth=1)
+        place = max(summary.reward, place + 1.6 * margin)
+        axes.annotate(
+            name, (1.0, summary.reward), (1.03, place), xycoords=axes.get_yaxis_transform(),
+            textcoords=axes.get_yaxis_transform(), fontsize=8, va="center", color="0.25",
+            arrowprops={"arrowstyle": "-", "color": "0.6", "linewidth": 0.6},
+        )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
