@@ -76,6 +76,7 @@ class Simulation:
 
     def _forget(self) -> None:
         self._traffic, self._network = Traffic(), None
+        self._tables = [np.empty((0, 0))] * 3
 
     def __getstate__(self) -> dict[str, Any]:
         kept = ("env", "enabled", "behavior", "compiled", "stock")
@@ -138,9 +139,8 @@ class Simulation:
         if road.record_history:
             raise Unknown("trajectories are recorded")
         if self._network is None or self._network.changed(road.network):
-            self._network = None
+            self._forget()
             self._network = Network(road.network)
-            self._tables = [np.empty((0, 0))] * 3
         if regulated and not self._network.all_limited:
             raise Unknown("road rules on lanes without a speed limit")
         self._regulated = regulated
@@ -156,6 +156,8 @@ class Simulation:
         rules_every, patience = 0, 0.0
         if self._regulated:
             rules_every = int(1 / dt / road.REGULATION_FREQUENCY)
+            if rules_every < 1:
+                raise Unknown("road rules that are checked more often than sub-steps are made")
             patience = road.YIELD_DURATION * road.REGULATION_FREQUENCY
         collecting = frames * traffic.kinds[: traffic.n].count(LINEAR)
         samples = np.empty((collecting, SAMPLE_COLUMNS))
