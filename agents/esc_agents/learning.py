@@ -174,6 +174,16 @@ def verdict(runs: Sequence[Run]) -> str:
     )
 
 
+def collisions(runs: Sequence[Run]) -> str:
+    """What the return alone does not say: who crashes how often."""
+    rates = [f"{r.trained.collision_rate:.0%} (seed {r.config.seed})" for r in runs]
+    name, safest = min(runs[0].blind.items(), key=lambda item: item[1].collision_rate)
+    return (
+        f"Episodes that end in a collision: {', '.join(rates)}; fewest among the blind policies: "
+        f"{safest.collision_rate:.0%} ({name})."
+    )
+
+
 def _interval(summary: Summary) -> str:
     return f"{summary.reward:.2f} [{summary.reward_low:.2f}, {summary.reward_high:.2f}]"
 
@@ -190,6 +200,7 @@ def text(runs: Sequence[Run], arguments: LearningArguments) -> str:
             f"# Learning: {scenario_name(config)}",
             "",
             verdict(runs),
+            collisions(runs),
             "",
             f"{config.algo.upper()} with `{config.repr}` on {config.env}, {config.steps:,} steps, "
             f"seeds {seeds}; {_versions(runs)}. Written by `python -m esc_agents.learning --runs "
@@ -248,14 +259,12 @@ def draw(runs: Sequence[Run]) -> Figure:
     axes: Axes = figure.subplots()
     for r in runs:
         steps, returns = r.curve
-        ends = steps[-1:] if len(steps) else np.array([0])
-        means = returns.mean(axis=1) if len(steps) else np.array([])
-        x = np.append(steps, max(r.config.steps, *ends))
-        y = np.append(means, r.trained.reward)
-        (line,) = axes.plot(x, y, marker="o", markersize=4, label=f"seed {r.config.seed}")
-        intervals = np.array([mean_interval(row)[1:] for row in returns]).reshape(-1, 2)
-        low = np.append(intervals[:, 0], r.trained.reward_low)
-        high = np.append(intervals[:, 1], r.trained.reward_high)
+        before = steps < r.config.steps  # at the end stands the model that the run ended with
+        intervals = [mean_interval(row) for row in returns[before]]
+        end = (r.trained.reward, r.trained.reward_low, r.trained.reward_high)
+        mean, low, high = np.array([*intervals, end]).T
+        x = np.append(steps[before], r.config.steps)
+        (line,) = axes.plot(x, mean, marker="o", markersize=4, label=f"seed {r.config.seed}")
         axes.fill_between(x, low, high, color=line.get_color(), alpha=0.12, linewidth=0)
     _blind_lines(axes, runs[0].blind)
     config = runs[0].config
@@ -283,7 +292,10 @@ def _blind_lines(axes: Axes, blind: Mapping[str, Summary]) -> None:
         axes.annotate(
             name, (1.0, summary.reward), (1.03, place), xycoords=axes.get_yaxis_transform(),
             textcoords=axes.get_yaxis_transform(), fontsize=8, va="center", color="0.25",
-            arrowprops={"arrowstyle": "-", "color": "0.6", "linewidth": 0.6},
+            arrowprops={
+                "arrowstyle": "-", "color": "0.6", "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0,
+                "relpos": (0, 0.5),
+            },
         )  # fmt: skip
 
 

@@ -63,6 +63,9 @@ def test_the_page_says_what_was_run_and_what_came_out(make_run, tmp_path):
     text = out.read_text()
     assert text.startswith("# Learning: highway-dense\n")
     assert "Above every blind baseline: in all 2 runs" in text
+    assert (
+        "in a collision: 30% (seed 0), 30% (seed 1); fewest among the blind policies: 30%" in text
+    )
     assert "esc-train --env highway-dense --seed 0\nesc-train --env highway-dense --seed 1" in text
     assert "300 steps, seeds 0, 1; torch 9.9, device abacus." in text
     assert "| esc, seed 0 | 6.00 [5.25, 6.75] | 30% [11%, 60%] | 25.0 |" in text
