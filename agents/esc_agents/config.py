@@ -112,7 +112,7 @@ class PPOConfig(_Model):
     learning_rate: PositiveFloat = 5e-4
     n_steps: Annotated[int, Field(ge=2)] = 64
     """Steps per environment in one rollout."""
-    batch_size: Annotated[int, Field(ge=2)] = 128
+    batch_size: Annotated[int, Field(ge=2)] = 256
     n_epochs: PositiveInt = 10
     gamma: Probability = 0.95
     gae_lambda: Probability = 0.95
