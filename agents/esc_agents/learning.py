@@ -97,7 +97,7 @@ class Run:
 
 def _summaries(rows: list[dict[str, Any]]) -> dict[str, Summary]:
     """``as_rows`` back; JSON has null for no time to collision."""
-    values = [{k: inf if v is None else v for k, v in row.items()} for row in rows]
+    values: list[Any] = [{k: inf if v is None else v for k, v in row.items()} for row in rows]
     return {row.pop("policy"): Summary(**row) for row in values}
 
 

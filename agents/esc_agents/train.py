@@ -130,10 +130,11 @@ def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
         "net_arch": list(config.hyperparameters.net_arch),
     }
     # One kernel instead of one per tensor and operation: the same Adam, a third less time.
-    policy["optimizer_kwargs"] = {"fused": True}
+    adam: dict[str, Any] = {"fused": True}
     if config.algo == "ppo":
         policy["ortho_init"] = config.ppo.ortho_init
-        policy["optimizer_kwargs"]["eps"] = 1e-5  # SB3's, where no kwargs are given
+        adam["eps"] = 1e-5  # what SB3 takes where it is given no arguments
+    policy["optimizer_kwargs"] = adam
     try:
         return ALGORITHMS[config.algo](
             "MultiInputPolicy",  # type: ignore[arg-type]
