@@ -33,6 +33,6 @@ REPRESENTATIONS["histogram"] = Histogram
 if __name__ == "__main__":
     steps = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
     run_dir = Path(sys.argv[2]) if len(sys.argv) > 2 else None
-    update = {"repr": "histogram", "steps": steps, "n_envs": 1, "run_dir": run_dir}
+    update = {"repr": "histogram", "steps": steps, "run_dir": run_dir}
     update["evaluation"] = EvaluationConfig(episodes=3)  # few, so that the example ends soon
     train(config_for_env("highway-fast").model_copy(update=update))

@@ -62,7 +62,7 @@ def check(config: TrainConfig) -> gym.Env:
     if config.algo == "ppo" and config.ppo.batch_size > rollout:
         raise UserError(
             f"ppo.batch_size: expected at most n_steps * n_envs = {rollout}, got "
-            f"{config.ppo.batch_size}"
+            f"{config.ppo.batch_size}; raise --ppo.n-steps or lower --ppo.batch-size"
         )
     return env
 
