@@ -98,7 +98,7 @@ class Traffic:
     """The vehicles and objects of one road as records [m + 1]; the last one is scratch."""
 
     def __init__(self) -> None:
-        self.items: list[Any] = []
+        self.items: Any = None  # not [], which is a road without vehicles
         self.n = 0
 
     def gather(self, road: Any, network: Network, regulated: bool) -> None:

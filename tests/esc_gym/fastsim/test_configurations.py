@@ -160,3 +160,9 @@ def test_observations(observation):
     """They read the road that the kernel writes."""
     env_id = "exit-v0" if observation == "ExitObservation" else "merge-v0"
     lockstep(partial(gym.make, env_id, config={"observation": {"type": observation}}), steps=8)
+
+
+def test_an_intersection_that_is_empty_at_first():
+    """Its reset simulates three seconds of a road without vehicles."""
+    config = {"initial_vehicle_count": 1, "spawn_probability": 0.0}
+    lockstep(partial(gym.make, "intersection-v0", config=config), steps=5)
