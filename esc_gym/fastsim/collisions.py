@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from esc_gym.fastsim.numerics import compiled, dot, merged, outlined, unary
+from esc_gym.fastsim.numerics import compiled, cos, dot, merged, outlined, sin
 from esc_gym.fastsim.records import CRASH, HIT, IMPACT, OBSTACLE
 
 # Pairs further apart than this beyond touching are skipped before the exact distance is computed:
@@ -130,11 +130,18 @@ def collide_near(s, i, j, dt, reach, a, b):
 @merged
 def collide_all(s, dt):
     """The second half of ``Road.step``: every pair of vehicles, then the objects, in order."""
-    a, b = np.empty((5, 2)), np.empty((5, 2))
+    a, b, xs = np.empty((5, 2)), np.empty((5, 2)), np.empty(s.m)
+    widest = 0.0
+    for j in range(s.m):
+        xs[j] = s.vehicles[j].x
+        widest = max(widest, s.vehicles[j].diagonal)
     for i in range(s.n):
         one = s.vehicles[i]
         x, y, ahead = one.x, one.y, one.speed * dt
+        bound = (one.diagonal + widest) / 2 + ahead + MARGIN
         for j in range(i + 1, s.m):
+            if abs(xs[j] - x) > bound:  # most pairs end here
+                continue
             other = s.vehicles[j]
             reach = (one.diagonal + other.diagonal) / 2 + ahead
             if abs(other.x - x) <= reach + MARGIN and abs(other.y - y) <= reach + MARGIN:
@@ -168,8 +175,8 @@ def corner_offsets(index, length, width):
 @compiled
 def has_corner_inside(numerics, x1, y1, h1, x2, y2, h2, length, width, length_2, width_2):
     """``utils.has_corner_inside``."""
-    c1, s1 = unary(numerics.cos, numerics.cos_data, h1), unary(numerics.sin, numerics.sin_data, h1)
-    c2, s2 = unary(numerics.cos, numerics.cos_data, h2), unary(numerics.sin, numerics.sin_data, h2)
+    c1, s1 = cos(numerics, h1), sin(numerics, h1)
+    c2, s2 = cos(numerics, h2), sin(numerics, h2)
     for index in range(9):
         u, v = corner_offsets(index, length, width)
         px = dot(numerics.matrix_matrix, c1, -s1, u, v) + x1

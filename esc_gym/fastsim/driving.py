@@ -12,7 +12,8 @@ import numpy as np
 
 from esc_gym.fastsim.geometry import along, heading_at, is_reachable
 from esc_gym.fastsim.numerics import (
-    binary,
+    arcsin,
+    arctan,
     clip,
     compiled,
     dot,
@@ -21,7 +22,8 @@ from esc_gym.fastsim.numerics import (
     merged,
     not_zero,
     outlined,
-    unary,
+    power,
+    tan,
     wrap_to_pi,
 )
 from esc_gym.fastsim.records import (
@@ -47,17 +49,20 @@ def neighbours(s, i, k):
     here = along(s, k, i)
     front = rear = NOBODY
     front_at, rear_at = np.inf, -np.inf
-    first, last = s.link_start[k], s.link_start[k + 1]
+    first, last = s.link_start[k] + 1, s.link_start[k + 1]
     for j in range(s.m):
         there = s.seats[k, j]
-        for link in range(first + 1, last):
-            if there == there:
-                break
-            there = s.seats[s.link_lane[link], j] + s.link_offset[link]
-        # NaN, for somebody on none of these lanes, is neither in front nor behind.
-        if here <= there and there <= front_at and j != i:
-            front, front_at = j, there
-        if there < here and there > rear_at and j != i:
+        if there != there:
+            for link in range(first, last):
+                there = s.seats[s.link_lane[link], j] + s.link_offset[link]
+                if there == there:
+                    break
+            else:
+                continue
+        if here <= there:
+            if there <= front_at and j != i:
+                front, front_at = j, there
+        elif there > rear_at and j != i:
             rear, rear_at = j, there
     return front, rear
 
@@ -81,9 +86,9 @@ def desired_gap(s, me, ego, front):
 
 
 @compiled
-def idm_acceleration(s, me, ego, front):
-    """``IDMVehicle.acceleration``."""
-    if ego == NOBODY or ego >= s.n:
+def free_acceleration(s, me, ego):
+    """What ``IDMVehicle.acceleration`` starts from: nobody is in front. 0 for linear drivers."""
+    if ego == NOBODY or ego >= s.n or s.vehicles[me].kind == LINEAR:
         return 0.0
     driver, vehicle = s.vehicles[me], s.vehicles[ego]
     target = vehicle.target_speed if vehicle.kind >= CONTROLLED else 0.0
@@ -91,12 +96,16 @@ def idm_acceleration(s, me, ego, front):
     if lane.limited:
         target = clip(target, 0.0, lane.speed_limit)
     ratio = max(vehicle.speed, 0.0) / abs(not_zero(target))
-    free = binary(s.np.power, s.np.power_data, ratio, driver.delta)
-    acceleration = driver.comfort_max * (1 - free)
-    if front != NOBODY:
-        gap = desired_gap(s, me, ego, front) / not_zero(lane_distance(s, ego, front))
-        acceleration -= driver.comfort_max * binary(s.np.power, s.np.power_data, gap, 2.0)
-    return acceleration
+    return driver.comfort_max * (1 - power(s.np, ratio, driver.delta))
+
+
+@compiled
+def idm_acceleration(s, me, ego, front, free):
+    """``IDMVehicle.acceleration``."""
+    if front == NOBODY or ego == NOBODY or ego >= s.n:
+        return free
+    gap = desired_gap(s, me, ego, front) / not_zero(lane_distance(s, ego, front))
+    return free - s.vehicles[me].comfort_max * power(s.np, gap, 2.0)
 
 
 @compiled
@@ -124,11 +133,14 @@ def linear_acceleration(s, me, ego, front):
 
 
 @compiled
-def acceleration(s, me, ego, front):
-    """The acceleration of ``ego`` behind ``front`` in the eyes of ``me``."""
+def acceleration(s, me, ego, front, free):
+    """The acceleration of ``ego`` behind ``front`` in the eyes of ``me``.
+
+    free: ``free_acceleration(s, me, ego)``, the same for everybody who may be in front.
+    """
     if s.vehicles[me].kind == LINEAR:
         return linear_acceleration(s, me, ego, front)
-    return idm_acceleration(s, me, ego, front)
+    return idm_acceleration(s, me, ego, front, free)
 
 
 @compiled
@@ -141,10 +153,12 @@ def mobil(s, i, k):
     """``IDMVehicle.mobil``: is changing to lane ``k`` safe and worth it?"""
     driver = s.vehicles[i]
     new_front, new_rear = neighbours(s, i, k)
-    new_rear_after = acceleration(s, i, new_rear, i)
+    new_rear_free = free_acceleration(s, i, new_rear)
+    new_rear_after = acceleration(s, i, new_rear, i, new_rear_free)
     if new_rear_after < -driver.max_braking:
         return False
-    mine_after = acceleration(s, i, i, new_front)
+    free = free_acceleration(s, i, i)
+    mine_after = acceleration(s, i, i, new_front, free)
     planned = s.routes[i, driver.route_taken, 1] if driver.route_length > 0 else NO_LANE
     if planned != NO_LANE:
         target = s.lanes[driver.target_lane].id
@@ -152,10 +166,11 @@ def mobil(s, i, k):
             return False
         return not mine_after < -driver.max_braking
     old_front, old_rear = neighbours(s, i, driver.lane)
-    new_rear_before = acceleration(s, i, new_rear, new_front)
-    mine_before = acceleration(s, i, i, old_front)
-    old_rear_before = acceleration(s, i, old_rear, i)
-    old_rear_after = acceleration(s, i, old_rear, old_front)
+    new_rear_before = acceleration(s, i, new_rear, new_front, new_rear_free)
+    mine_before = acceleration(s, i, i, old_front, free)
+    old_rear_free = free_acceleration(s, i, old_rear)
+    old_rear_before = acceleration(s, i, old_rear, i, old_rear_free)
+    old_rear_after = acceleration(s, i, old_rear, old_front, old_rear_free)
     others = new_rear_after - new_rear_before + old_rear_after - old_rear_before
     return not mine_after - mine_before + driver.politeness * others < driver.min_gain
 
@@ -211,13 +226,13 @@ def pursuit_steering(s, i):
     speed = not_zero(driver.speed)
     ahead = heading_at(s, k, along(s, k, i) + driver.speed * driver.tau_pursuit)
     command = clip(-driver.kp_lateral * s.lat[k, i] / speed, -1.0, 1.0)
-    command = unary(s.np.arcsin, s.np.arcsin_data, command)
+    command = arcsin(s.np, command)
     reference = ahead + clip(command, -np.pi / 4, np.pi / 4)
     rate = driver.kp_heading * wrap_to_pi(reference - driver.heading)
     slip = clip(driver.length / 2 / speed * rate, -1.0, 1.0)
-    slip = unary(s.np.arcsin, s.np.arcsin_data, slip)
-    steering = 2 * unary(s.np.tan, s.np.tan_data, slip)
-    steering = unary(s.np.arctan, s.np.arctan_data, steering)
+    slip = arcsin(s.np, slip)
+    steering = 2 * tan(s.np, slip)
+    steering = arctan(s.np, steering)
     return clip(steering, -driver.max_steering, driver.max_steering)
 
 
@@ -264,10 +279,11 @@ def drive_idm(s, i):
         change_lane_policy(s, i)
     driver.steering = linear_steering(s, i) if driver.kind == LINEAR else pursuit_steering(s, i)
     front, _ = neighbours(s, i, driver.lane)
-    command = acceleration(s, i, i, front)
+    free = free_acceleration(s, i, i)
+    command = acceleration(s, i, i, front, free)
     if driver.lane != driver.target_lane:
         front, _ = neighbours(s, i, driver.target_lane)
-        command = min(command, acceleration(s, i, i, front))
+        command = min(command, acceleration(s, i, i, front, free))
     driver.acceleration = clip(command, -driver.acc_max, driver.acc_max)
 
 

@@ -9,7 +9,7 @@ from math import sqrt
 
 import numpy as np
 
-from esc_gym.fastsim.numerics import binary, compiled, dot, outlined, unary, wrap_to_pi
+from esc_gym.fastsim.numerics import arctan, arctan2, compiled, cos, dot, outlined, sin, wrap_to_pi
 from esc_gym.fastsim.records import CIRCULAR, LANDMARK, SINE, SPLINE, STRAIGHT
 
 VEHICLE_LENGTH = 5  # AbstractLane.VEHICLE_LENGTH
@@ -28,7 +28,7 @@ def circular_longitudinal(s, k, x, y):
     """The first of ``CircularLane.local_coordinates``."""
     lane = s.lanes[k]
     dx, dy = x - lane.center_x, y - lane.center_y
-    phase = binary(s.np.arctan2, s.np.arctan2_data, dy, dx)
+    phase = arctan2(s.np, dy, dx)
     phase = lane.start_phase + wrap_to_pi(phase - lane.start_phase)
     return lane.turn * (phase - lane.start_phase) * lane.radius
 
@@ -46,7 +46,7 @@ def local_coordinates(s, k, x, y):
     lateral = dot(s.np.dot, dx, dy, lane.lateral_x, lane.lateral_y)
     if lane.kind == SINE:
         angle = lane.pulsation * longitudinal + lane.phase
-        lateral = lateral - lane.amplitude * unary(s.np.sin, s.np.sin_data, angle)
+        lateral = lateral - lane.amplitude * sin(s.np, angle)
     return longitudinal, lateral
 
 
@@ -88,9 +88,9 @@ def heading_at(s, k, longitudinal):
         while index < lane.poses_count and s.poses[lane.poses + index, 0] <= longitudinal:
             index += 1
         return s.poses[lane.poses + max(index - 1, 0), 7]
-    slope = unary(s.np.cos, s.np.cos_data, lane.pulsation * longitudinal + lane.phase)
+    slope = cos(s.np, lane.pulsation * longitudinal + lane.phase)
     slope = lane.amplitude * lane.pulsation * slope
-    return lane.heading + unary(s.np.arctan, s.np.arctan_data, slope)
+    return lane.heading + arctan(s.np, slope)
 
 
 @compiled
@@ -111,13 +111,13 @@ def position(s, k, longitudinal):
     lane = s.lanes[k]
     if lane.kind == CIRCULAR:
         phase = lane.turn * longitudinal / lane.radius + lane.start_phase
-        x = lane.center_x + lane.radius * unary(s.np.cos, s.np.cos_data, phase)
-        return x, lane.center_y + lane.radius * unary(s.np.sin, s.np.sin_data, phase)
+        x = lane.center_x + lane.radius * cos(s.np, phase)
+        return x, lane.center_y + lane.radius * sin(s.np, phase)
     x = lane.start_x + longitudinal * lane.direction_x
     y = lane.start_y + longitudinal * lane.direction_y
     if lane.kind == SINE:
         angle = lane.pulsation * longitudinal + lane.phase
-        lateral = lane.amplitude * unary(s.np.sin, s.np.sin_data, angle)
+        lateral = lane.amplitude * sin(s.np, angle)
         x, y = x + lateral * lane.lateral_x, y + lateral * lane.lateral_y
     return x, y
 
@@ -172,8 +172,8 @@ def distance_with_heading(s, k, i):
 def locate(s, i):
     """Everything that follows from a new position and heading, the vehicle's lane excepted."""
     vehicle = s.vehicles[i]
-    vehicle.cos = unary(s.np.cos, s.np.cos_data, vehicle.heading)
-    vehicle.sin = unary(s.np.sin, s.np.sin_data, vehicle.heading)
+    vehicle.cos = cos(s.np, vehicle.heading)
+    vehicle.sin = sin(s.np, vehicle.heading)
     neighbour = vehicle.kind != LANDMARK
     for k in range(len(s.lanes)):
         if s.lanes[k].kind == CIRCULAR:

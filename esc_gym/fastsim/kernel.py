@@ -15,14 +15,19 @@ from esc_gym.fastsim.driving import acts, collect, drive
 from esc_gym.fastsim.geometry import locate
 from esc_gym.fastsim.motion import step
 from esc_gym.fastsim.numerics import (
-    binary,
+    arcsin,
+    arctan,
+    arctan2,
     borrowed,
     compiled,
+    cos,
     dot,
     dot3,
     libm,
     merged,
-    unary,
+    power,
+    sin,
+    tan,
     wrap_to_pi,
 )
 from esc_gym.fastsim.records import (
@@ -135,14 +140,14 @@ def check(numerics, inputs, outputs):
     for row in range(len(inputs)):
         angle, part, x, y, exponent = inputs[row]
         out = outputs[row]
-        c, s = unary(np_.cos, np_.cos_data, angle), unary(np_.sin, np_.sin_data, angle)
+        c, s = cos(np_, angle), sin(np_, angle)
         out[0], out[1] = s, c
-        out[2] = unary(np_.tan, np_.tan_data, angle)
-        out[3] = unary(np_.arcsin, np_.arcsin_data, part)
-        out[4] = unary(np_.arctan, np_.arctan_data, x)
-        out[5] = binary(np_.arctan2, np_.arctan2_data, x, y)
-        out[6] = binary(np_.power, np_.power_data, abs(y), exponent)
-        out[7] = binary(np_.power, np_.power_data, x, 2.0)
+        out[2] = tan(np_, angle)
+        out[3] = arcsin(np_, part)
+        out[4] = arctan(np_, x)
+        out[5] = arctan2(np_, x, y)
+        out[6] = power(np_, abs(y), exponent)
+        out[7] = power(np_, x, 2.0)
         out[8] = libm(np_.libm_pow, x, 2.0)
         out[9] = wrap_to_pi(x)
         out[10] = dot(np_.dot, x, y, part, angle)

@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from esc_gym.fastsim.geometry import closest_lane, locate
-from esc_gym.fastsim.numerics import binary, clip, compiled, dot, merged, outlined, unary
+from esc_gym.fastsim.numerics import (
+    arctan,
+    arctan2,
+    clip,
+    compiled,
+    cos,
+    dot,
+    merged,
+    outlined,
+    sin,
+    tan,
+)
 from esc_gym.fastsim.records import BICYCLE, CRASH, IDM, IMPACT, LANE_CHANGED
 
 
@@ -28,17 +39,17 @@ def move_kinematic(s, i, dt):
     """``Vehicle.step`` but for the lane."""
     vehicle = s.vehicles[i]
     clip_actions(vehicle)
-    slip = 1 / 2 * unary(s.np.tan, s.np.tan_data, vehicle.steering)
-    slip = unary(s.np.arctan, s.np.arctan_data, slip)
+    slip = 1 / 2 * tan(s.np, vehicle.steering)
+    slip = arctan(s.np, slip)
     course = vehicle.heading + slip
-    vehicle.x += vehicle.speed * unary(s.np.cos, s.np.cos_data, course) * dt
-    vehicle.y += vehicle.speed * unary(s.np.sin, s.np.sin_data, course) * dt
+    vehicle.x += vehicle.speed * cos(s.np, course) * dt
+    vehicle.y += vehicle.speed * sin(s.np, course) * dt
     if vehicle.has_impact:
         vehicle.x += vehicle.impact_x
         vehicle.y += vehicle.impact_y
         vehicle.crashed, vehicle.has_impact = 1, 0
         vehicle.changed |= CRASH | IMPACT
-    turn = unary(s.np.sin, s.np.sin_data, slip)
+    turn = sin(s.np, slip)
     vehicle.heading += vehicle.speed * turn / (vehicle.length / 2) * dt
     vehicle.speed += vehicle.acceleration * dt
 
@@ -48,9 +59,9 @@ def bicycle_derivative(s, i, heading, speed, lateral_speed, yaw_rate):
     """``BicycleVehicle.derivative_func``: what is not constant of it (x, y, lateral, yaw)."""
     v = s.vehicles[i]
     front = lateral_speed + v.length_a * yaw_rate
-    front = binary(s.np.arctan2, s.np.arctan2_data, front, speed)
+    front = arctan2(s.np, front, speed)
     rear = lateral_speed - v.length_b * yaw_rate
-    rear = binary(s.np.arctan2, s.np.arctan2_data, rear, speed)
+    rear = arctan2(s.np, rear, speed)
     force_front = 2 * v.friction_front * (v.steering - front)
     force_rear = 2 * v.friction_rear * (0 - rear)
     if abs(speed) < 1:
@@ -58,8 +69,8 @@ def bicycle_derivative(s, i, heading, speed, lateral_speed, yaw_rate):
         force_rear = -v.mass * lateral_speed + v.inertia / v.length_a * yaw_rate
     lateral = 1 / v.mass * (force_front + force_rear) - yaw_rate * speed
     yaw = 1 / v.inertia * (v.length_a * force_front - v.length_b * force_rear)
-    c = unary(s.np.cos, s.np.cos_data, heading)
-    n = unary(s.np.sin, s.np.sin_data, heading)
+    c = cos(s.np, heading)
+    n = sin(s.np, heading)
     x = dot(s.np.matrix_vector, c, -n, speed, lateral_speed)
     y = dot(s.np.matrix_vector, n, c, speed, lateral_speed)
     return np.array([x, y, yaw_rate, v.acceleration, lateral, yaw])

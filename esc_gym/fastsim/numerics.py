@@ -114,6 +114,52 @@ def borrowed(typing_context, array):
     return array(array), generate
 
 
+# sin, tan, arcsin and arctan of a zero are that zero. Vehicles that keep their lane ask for little
+# else, and this costs less than the call.
+
+
+@compiled
+def sin(np_, x):
+    """``np.sin``."""
+    return x if x == 0.0 else unary(np_.sin, np_.sin_data, x)
+
+
+@compiled
+def cos(np_, x):
+    """``np.cos``."""
+    return 1.0 if x == 0.0 else unary(np_.cos, np_.cos_data, x)
+
+
+@compiled
+def tan(np_, x):
+    """``np.tan``."""
+    return x if x == 0.0 else unary(np_.tan, np_.tan_data, x)
+
+
+@compiled
+def arcsin(np_, x):
+    """``np.arcsin``."""
+    return x if x == 0.0 else unary(np_.arcsin, np_.arcsin_data, x)
+
+
+@compiled
+def arctan(np_, x):
+    """``np.arctan``."""
+    return x if x == 0.0 else unary(np_.arctan, np_.arctan_data, x)
+
+
+@compiled
+def arctan2(np_, y, x):
+    """``np.arctan2``."""
+    return binary(np_.arctan2, np_.arctan2_data, y, x)
+
+
+@compiled
+def power(np_, x, exponent):
+    """``np.power``."""
+    return binary(np_.power, np_.power_data, x, exponent)
+
+
 @compiled
 def dot(rounding, a0, a1, b0, b1):
     """a0*b0 + a1*b1 as BLAS rounds it; BLAS adds to +0.0, which makes -0.0 positive."""
