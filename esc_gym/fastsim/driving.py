@@ -28,11 +28,14 @@ from esc_gym.fastsim.numerics import (
 )
 from esc_gym.fastsim.records import (
     BICYCLE,
+    COMMANDED,
     CONTROLLED,
     IDM,
+    KEEP,
     LINEAR,
     NO_LANE,
     PLAIN,
+    RIGHT,
     TARGET_CHANGED,
 )
 
@@ -179,6 +182,20 @@ def mobil(s, i, k):
 def set_target(driver, k):
     driver.target_lane = k
     driver.changed |= TARGET_CHANGED
+
+
+@outlined
+def change_lane(s, i, command):
+    """The lane change of ``ControlledVehicle.act``, if the lane can be reached."""
+    driver = s.vehicles[i]
+    if command == KEEP:
+        return
+    lane = s.lanes[driver.target_lane]
+    number = lane.id + (1 if command == RIGHT else -1)
+    k = lane.road + min(max(number, 0), lane.count - 1)
+    if is_reachable(s, k, i):
+        set_target(driver, k)
+        driver.changed |= COMMANDED
 
 
 @outlined

@@ -12,15 +12,19 @@ from typing import Any
 import numpy as np
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import DiscreteMetaAction
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.vehicle.behavior import IDMVehicle
 
 from esc_gym.fastsim import known
 from esc_gym.fastsim.behavior import Behavior, original_behavior
+from esc_gym.fastsim.known import vehicle_kind
 from esc_gym.fastsim.network import Network, Unknown
-from esc_gym.fastsim.records import LINEAR, SAMPLE_COLUMNS
+from esc_gym.fastsim.records import KEEP, LEFT, LINEAR, MDP, RIGHT, SAMPLE_COLUMNS
 from esc_gym.fastsim.traffic import Traffic
 
+COMMANDS = {"LANE_LEFT": LEFT, "LANE_RIGHT": RIGHT}
+SPEED_STEPS = {"FASTER": 1, "SLOWER": -1}
 UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, IndexError, struct.error)
 
 
@@ -95,14 +99,18 @@ class Simulation:
             self.stock[problem] += 1
             type(env)._simulate(env, action)
             return
+        meta_action = None
         if action is not None:
-            env.action_type.act(action)
+            meta_action = _meta_action(env.action_type, action)
+            if meta_action is None:
+                env.action_type.act(action)
         try:
             self._load(env.road)
-            self._run(env.road, frames, 1 / env.config["simulation_frequency"])
+            self._run(env.road, frames, 1 / env.config["simulation_frequency"], meta_action)
         except Unknown as unknown:
             self.stock[str(unknown)] += 1
-            type(env)._simulate(env)  # the action is taken already
+            # A meta-action is still to be taken; any other is taken already.
+            type(env)._simulate(env, action if meta_action else None)
             return
         env.steps += frames
         env.enable_auto_render = False
@@ -146,7 +154,9 @@ class Simulation:
         self._regulated = regulated
         self._traffic.gather(road, self._network, regulated)
 
-    def _run(self, road: Any, frames: int, dt: float) -> None:
+    def _run(
+        self, road: Any, frames: int, dt: float, meta_action: tuple[Any, int] | None = None
+    ) -> None:
         """``frames`` times ``road.act(); road.step(dt)`` on what was loaded."""
         kernel, numerics, _ = machine()
         traffic, network = self._traffic, self._network
@@ -161,12 +171,16 @@ class Simulation:
             patience = road.YIELD_DURATION * road.REGULATION_FREQUENCY
         collecting = frames * traffic.kinds[: traffic.n].count(LINEAR)
         samples = np.empty((collecting, SAMPLE_COLUMNS))
-        progress = np.zeros(4, np.int64)
+        progress = np.zeros(kernel.COMMAND + 1, np.int64)
+        ego = 0
+        if meta_action:
+            vehicle, progress[kernel.COMMAND] = meta_action
+            ego = traffic.controlled(vehicle)
         links = network.links(bool(road.neighbour_vehicles_connected_lanes))
         while True:
             waiting = kernel.run(
                 traffic.records, network.records, *self._tables, *links, network.exits,
-                network.poses, network.widths, traffic.routes, samples, numerics, traffic.n,
+                network.poses, network.widths, traffic.routes, samples, numerics, traffic.n, ego,
                 progress, frames, dt, rules_every, getattr(road, "steps", 0), patience,
             )  # fmt: skip
             if waiting == kernel.NOT_FINITE:
@@ -248,6 +262,23 @@ class MakeVehicles:
 
 def _nothing() -> None:
     pass
+
+
+def _meta_action(action_type: Any, action: Any) -> tuple[Any, int] | None:
+    """(vehicle, command) of ``DiscreteMetaAction.act``; None if it is not that.
+
+    A change of speed is made here. It can be made twice, as stock code would in our place.
+    """
+    known_type = type(action_type).act is DiscreteMetaAction.act and "act" not in vars(action_type)
+    vehicle = action_type.controlled_vehicle if known_type else None
+    if vehicle is None or vehicle_kind(type(vehicle)) != MDP:
+        return None
+    name = action_type.actions[int(action)]
+    if step := SPEED_STEPS.get(name):
+        index = vehicle.speed_to_index(vehicle.speed) + step
+        vehicle.speed_index = int(np.clip(index, 0, vehicle.target_speeds.size - 1))
+        vehicle.target_speed = vehicle.index_to_speed(vehicle.speed_index)
+    return vehicle, COMMANDS.get(name, KEEP)
 
 
 def isolate(env: Any) -> Simulation:

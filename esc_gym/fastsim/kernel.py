@@ -11,7 +11,7 @@ import numpy as np
 
 from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.collisions import collide_all, corner_offsets, rectangle
-from esc_gym.fastsim.driving import acts, collect, drive
+from esc_gym.fastsim.driving import acts, change_lane, collect, drive
 from esc_gym.fastsim.geometry import locate
 from esc_gym.fastsim.motion import step
 from esc_gym.fastsim.numerics import (
@@ -33,6 +33,7 @@ from esc_gym.fastsim.numerics import (
 from esc_gym.fastsim.records import (
     LANE,
     LINEAR,
+    NOTHING,
     POSE_COLUMNS,
     SAMPLE_COLUMNS,
     VEHICLE,
@@ -44,7 +45,7 @@ from esc_gym.fastsim.routes import ASK_PYTHON, follow_road
 
 DONE, NOT_FINITE = -1, -2
 # Entries of ``progress``.
-FRAME, DRIVER, RESUMED, SAMPLES = range(4)
+FRAME, DRIVER, RESUMED, SAMPLES, COMMAND = range(5)
 
 
 @compiled
@@ -52,6 +53,21 @@ def unpack(n):
     """``Numerics`` of the integers that Python passes: a tuple would have to be typed each call."""
     return Numerics(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], n[10], n[11],
                     n[12], n[13], n[14], n[15], n[16], n[17])  # fmt: skip
+
+
+@merged
+def obey(s, ego, progress):
+    """``ControlledVehicle.act`` of a meta-action, but for the steering: it is decided again.
+
+    The vehicle that needs Python to follow the road, or DONE.
+    """
+    if not progress[RESUMED] and follow_road(s, ego) == ASK_PYTHON:
+        progress[RESUMED] = 1
+        return ego
+    change_lane(s, ego, progress[COMMAND])
+    progress[RESUMED] = 0
+    progress[COMMAND] = NOTHING
+    return DONE
 
 
 @merged
@@ -84,12 +100,13 @@ def is_finite(v):
 @cached
 def run(
     vehicles, lanes, lon, lat, seats, link_start, link_lane, link_offset, exits, poses, widths,
-    routes, samples, numerics, n, progress, frames, dt, rules_every, road_steps, patience
+    routes, samples, numerics, n, ego, progress, frames, dt, rules_every, road_steps, patience
 ):  # fmt: skip
     """Sub-steps until ``frames`` are done (DONE), or until a vehicle has to follow the road.
 
     That vehicle's number is returned; call again after Python did it. NOT_FINITE if there is NaN
-    or infinity in the vehicles; then nothing was done. ``progress`` starts as zeros.
+    or infinity in the vehicles; then nothing was done. ``progress`` starts as zeros, but for the
+    COMMAND to the vehicle ``ego``.
     rules_every: sub-steps between checks of the road rules, 0 for a plain road; road_steps
     (``RegulatedRoad.steps``) and patience belong to them.
     """
@@ -106,6 +123,10 @@ def run(
                 return NOT_FINITE
         for i in range(m):
             locate(s, i)
+    if progress[COMMAND] != NOTHING:
+        waiting = obey(s, ego, progress)
+        if waiting != DONE:
+            return waiting
     while progress[FRAME] < frames:
         waiting = act_all(s, progress)
         if waiting != DONE:
@@ -127,8 +148,8 @@ def run_nothing() -> None:
         np.zeros(1, VEHICLE), np.zeros(1, LANE), table, table, table,
         np.zeros(2, np.int64), integers, numbers, integers,
         np.zeros((1, len(POSE_COLUMNS))), numbers, np.zeros((1, 1, 2), np.int64),
-        np.zeros((1, SAMPLE_COLUMNS)), np.zeros(len(Numerics._fields), np.int64), 0,
-        np.zeros(4, np.int64), 0, 0.1, 0, 0, 0.0,
+        np.zeros((1, SAMPLE_COLUMNS)), np.zeros(len(Numerics._fields), np.int64), 0, 0,
+        np.zeros(COMMAND + 1, np.int64), 0, 0.1, 0, 0, 0.0,
     )  # fmt: skip
 
 

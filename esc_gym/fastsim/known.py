@@ -15,6 +15,7 @@ from typing import Any
 
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import DiscreteMetaAction
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.road.lane import (
     AbstractLane,
@@ -58,7 +59,8 @@ ROADS = {RegulatedRoad: True, Road: False}
 # What the kernels replace; each class has some of these.
 BEHAVIOUR = {
     "act", "step", "clip_actions", "on_state_update", "predict_trajectory_constant_speed",
-    "follow_road", "steering_control", "speed_control", "acceleration", "desired_gap",
+    "follow_road", "steering_control", "speed_control", "speed_to_index", "index_to_speed",
+    "acceleration", "desired_gap",
     "change_lane_policy", "mobil", "collect_data", "add_features", "acceleration_features",
     "steering_features", "state", "derivative_func",
     "handle_collisions", "_is_colliding", "polygon", "direction", "velocity", "lane_distance_to",
@@ -75,7 +77,7 @@ RULES = {
 NETWORK = {"get_lane", "get_closest_lane_index", "side_lanes", "position_heading_along_route"}
 
 # sha256 of the source that the kernels repeat, of highway-env 1.12.1.
-SOURCE = "6599bcb6fa5d312a92476aa526c61c7677613b4d2c4e0ef19cc86c09b5a31bab"
+SOURCE = "8562810bca68749f8f673d2c4f8ca3ac3ac4d560acd335668fe5baf460fb6353"
 
 
 def _kind(cls: type, known: dict[Any, Any], names: set[str]) -> Any:
@@ -128,6 +130,7 @@ _FUNCTIONS = (
 # Every name, of a class or module, whose effect the kernels repeat.
 _REPEATED: list[tuple[Any, Iterable[str]]] = [
     (AbstractEnv, ["_simulate"]), (IntersectionEnv, ["_make_vehicles"]),
+    (DiscreteMetaAction, ["act"]),
     (dynamics, ["rk4"]), (utils, _FUNCTIONS),
     *((cls, sorted(BEHAVIOUR)) for cls in (*VEHICLES, *OBJECTS, RoadObject)),
     *((cls, sorted(GEOMETRY)) for cls in (*LANES, AbstractLane)),

@@ -43,7 +43,10 @@ DERIVED = ("cos", "sin")
 NO_ROAD, NO_LANE = -1, -(1 << 40)
 
 # Bits of ``changed``: what has to be written back beyond position, heading, speed and action.
-LANE_CHANGED, TARGET_CHANGED, CRASH, IMPACT, HIT, YIELD = (1 << bit for bit in range(6))
+LANE_CHANGED, TARGET_CHANGED, CRASH, IMPACT, HIT, YIELD, COMMANDED = (1 << bit for bit in range(7))
+
+# What a meta-action may ask of the ego's lane; NOTHING: there is no meta-action to carry out.
+NOTHING, KEEP, LEFT, RIGHT = range(4)
 
 VEHICLE = np.dtype(
     [(name, "f8") for name in STATE_FLOATS]

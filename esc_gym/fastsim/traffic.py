@@ -15,6 +15,7 @@ from esc_gym.fastsim.known import BEHAVIOUR, object_kind, vehicle_kind
 from esc_gym.fastsim.network import Network, Unknown
 from esc_gym.fastsim.records import (
     BICYCLE,
+    COMMANDED,
     CONTROLLED,
     CRASH,
     HIT,
@@ -226,6 +227,13 @@ class Traffic:
             del self.items[i].route[:taken]
             self._routes[i] = None
 
+    def controlled(self, vehicle: Any) -> int:
+        """The number of the vehicle that takes an action."""
+        for i in range(self.n):
+            if self.items[i] is vehicle:
+                return i
+        raise Unknown("the controlled vehicle is not on the road")
+
     def follow_road(self, i: int) -> None:
         """Let vehicle i, in mid-step, change to the lane after its own, by stock code."""
         vehicle, record = self.items[i], self.records[i]
@@ -276,7 +284,10 @@ class Traffic:
         if changed & LANE_CHANGED:
             d["lane_index"], d["lane"] = network.indexes[lane], network.lanes[lane]
         if changed & TARGET_CHANGED:
-            d["target_lane_index"] = network.indexes[target]
+            start, end, number = network.indexes[target]
+            # As ControlledVehicle.act leaves it, which clips the number with NumPy.
+            number = np.int64(number) if changed & COMMANDED else number
+            d["target_lane_index"] = start, end, number
         if changed & CRASH:
             d["crashed"] = bool(crashed)
         if changed & IMPACT:
