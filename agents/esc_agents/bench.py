@@ -1,7 +1,8 @@
 """esc-bench's work: how fast the accelerated environments are, and whether they drive the same.
 
-Stock highway-env and ours take turns in one process, a few steps each, on the same seeds and
-actions, so that a noisy machine hits both alike. Every step that is timed is also compared.
+Stock highway-env and ours take turns in one process, an episode each, on the same seeds and
+actions, so that a noisy machine hits both alike. A first round, not timed, compares every step; the
+others compare how each episode ends.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import os
 import platform
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -37,8 +38,7 @@ from esc_gym import fastsim
 from esc_gym.fastsim.behavior import original_behavior
 from esc_gym.registration import HIGHWAY_ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
 
-STEPS = 10  # of an episode at most
-BLOCK = 5  # steps that one side takes before it is the other's turn
+STEPS = 20  # of an episode at most
 ROUNDS = 2  # at least
 END_TO_END = ("highway-v0", "highway-fast-v0")
 NOISY = ("lane-keeping-v0",)  # the stock observation draws from the environment's generator
@@ -51,10 +51,11 @@ SPEED_TEXT = f"""## Simulation and observation
 
 One `env.step`, one `env.reset`. Stock: `gym.make(id)`. Accelerated: `gym.make("esc_gym/" + id)`,
 set observation included; with an asterisk, `esc_gym.accelerate(gym.make(id))` and highway-env's own
-observation. The two take turns of {BLOCK} steps, on the same seeds and random actions; of several
-rounds the fastest mean of each counts. After every step reward, end, random generator and position,
-heading, speed, lane and crash of every vehicle are compared, to the last bit. (Not the generator in
-{", ".join(NOISY)}: its stock observation draws noise from it.)
+observation. The two take turns of an episode of at most {STEPS} steps, on the same seeds and random
+actions; of several rounds the fastest mean of each counts. Reward, end, random generator and
+position, heading, speed, lane and crash of every vehicle are compared, to the last bit: after every
+step in a first round, which is not timed, and at the end of each episode in the others. (Not the
+generator in {", ".join(NOISY)}: its stock observation draws noise from it.)
 """
 TRAINING_COLUMNS = ("environment", "stock steps/s", "esc-gym steps/s", "ratio")
 TRAINING_TEXT = f"""## PPO training, end to end
@@ -167,28 +168,27 @@ class Side:
     """One contender: an environment, and the seconds that its steps and resets have taken."""
 
     def __init__(self, env: gym.Env) -> None:
-        self.env, self.ended = env, False
+        self.env = env
         self.steps: list[float] = []
         self.resets: list[float] = []
 
-    def start(self, seed: int) -> list[State]:
-        """Reset; the state after it."""
+    def drive(self, seed: int, actions: Sequence[Any], watch: bool) -> dict[int, State]:
+        """Reset, and step until the episode or ``actions`` end: the last state, by its step.
+
+        watch: the states after the reset (0) and after every step.
+        """
         before = time.perf_counter()
         self.env.reset(seed=seed)
         self.resets.append(time.perf_counter() - before)
-        self.ended = False
-        return [state(self.env)]
-
-    def drive(self, actions: Sequence[Any]) -> list[State]:
-        """Step until the episode or ``actions`` end; the state after each step."""
-        states = []
-        for action in actions:
+        states = {0: state(self.env)} if watch else {}
+        for step, action in enumerate(actions, 1):
             before = time.perf_counter()
             _, reward, terminated, truncated, _ = self.env.step(action)
             self.steps.append(time.perf_counter() - before)
-            states.append(state(self.env, reward, terminated, truncated))
-            self.ended = bool(np.all(terminated)) or truncated  # of several agents a tuple
-            if self.ended:
+            ended = np.all(terminated) or truncated or step == len(actions)  # of several a tuple
+            if watch or ended:
+                states[step] = state(self.env, reward, terminated, truncated)
+            if ended:
                 break
         return states
 
@@ -216,21 +216,21 @@ def race(
 ) -> tuple[NDArray, dict[int, str]]:
     """Drive rounds of all ``seeds`` in turns: best means [side, (step, reset)], and differences."""
     drives = {seed: draw_actions(stock.env.action_space, seed) for seed in seeds}
-    for side in (stock, ours):  # once for compilers and caches
-        side.start(seeds[0])
-        side.drive(drives[seeds[0]][:1])
-        side.end_round()
-    rounds, differences, deadline = [], {}, time.perf_counter() + seconds
-    while len(rounds) < ROUNDS or time.perf_counter() < deadline:
+    differences: dict[int, str] = {}
+    rounds: list[Any] = []
+
+    def drive_all(watch: bool = False) -> None:
         for seed, actions in drives.items():
-            expected, got = stock.start(seed), ours.start(seed)
-            for first in range(0, STEPS, BLOCK):
-                if not (stock.ended or ours.ended):
-                    expected += stock.drive(actions[first : first + BLOCK])
-                    got += ours.drive(actions[first : first + BLOCK])
+            expected, got = (side.drive(seed, actions, watch) for side in (stock, ours))
             if found := difference(expected, got, ignored):
                 differences.setdefault(seed, found)
         rounds.append((stock.end_round(), ours.end_round()))
+
+    drive_all(watch=True)
+    rounds.clear()  # also not timed: compilers and caches have started
+    deadline = time.perf_counter() + seconds
+    while len(rounds) < ROUNDS or time.perf_counter() < deadline:
+        drive_all()
     return np.min(rounds, axis=0), differences
 
 
@@ -243,9 +243,12 @@ def draw_actions(space: gym.Space, seed: int) -> list[Any]:
     return [np.float32(0.05) * action for action in drawn] if gentle else drawn
 
 
-def difference(stock: Sequence[State], ours: Sequence[State], ignored: str = "") -> str | None:
+def difference(
+    stock: Mapping[int, State], ours: Mapping[int, State], ignored: str = ""
+) -> str | None:
     """When two drives first differ, and in what, unless ``ignored``; None if they do not."""
-    for step, (a, b) in enumerate(zip(stock, ours, strict=False)):
+    for step in sorted({*stock, *ours}):
+        a, b = stock.get(step, {}), ours.get(step, {})
         for name in a | b:
             if name != ignored and a.get(name) != b.get(name):
                 return f"{name}, step {step}"

@@ -79,7 +79,7 @@ class Simulation:
         self._forget()
 
     def _forget(self) -> None:
-        self._traffic, self._network = Traffic(), None
+        self._traffic, self._network, self._pinned = Traffic(), None, None
         self._tables = [np.empty((0, 0))] * 3
 
     def __getstate__(self) -> dict[str, Any]:
@@ -93,7 +93,9 @@ class Simulation:
     def __call__(self, action: Any = None) -> None:
         """``AbstractEnv._simulate``."""
         env = self.env
-        self.behavior.pin(env.road.vehicles)
+        if env.road.vehicles != self._pinned:
+            self.behavior.pin(env.road.vehicles)
+            self._pinned = list(env.road.vehicles)
         frames = int(env.config["simulation_frequency"] // env.config["policy_frequency"])
         if problem := self._problem(frames):
             self.stock[problem] += 1

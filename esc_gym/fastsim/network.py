@@ -22,6 +22,7 @@ from esc_gym.fastsim.records import (
 
 LaneIndex = tuple[str, str, int]
 _RECORD = struct.Struct(f"={len(LANE_FLOATS)}d{len(LANE_INTS)}q")
+_FIELDS = {name: place for place, name in enumerate(LANE_FLOATS + LANE_INTS)}
 _RULES = attrgetter("length", "width", "speed_limit", "forbidden", "priority")
 
 
@@ -50,8 +51,9 @@ class Network:
         self._widths: list[float] = []
         self._exits: list[int] = []
         for number, (index, lane) in enumerate(zip(self.indexes, self.lanes, strict=True)):
-            values = self._geometry(lane) | self._topology(index)
-            record = [values.get(name, 0) for name in (*LANE_FLOATS, *LANE_INTS)]
+            record: list[Any] = [0] * len(_FIELDS)
+            for name, value in (*self._geometry(lane).items(), *self._topology(index).items()):
+                record[_FIELDS[name]] = value
             _RECORD.pack_into(self.records, number * LANE.itemsize, *record)
         self.poses = np.array(self._poses, float).reshape(-1, len(POSE_COLUMNS))
         self.widths = np.array(self._widths, float)
@@ -86,9 +88,9 @@ class Network:
             "speed_limit": lane.speed_limit if limited else 0.0,
         }  # fmt: skip
         if kind in (STRAIGHT, SINE):
-            values["start_x"], values["start_y"] = lane.start
-            values["direction_x"], values["direction_y"] = lane.direction
-            values["lateral_x"], values["lateral_y"] = lane.direction_lateral
+            values["start_x"], values["start_y"] = lane.start.tolist()
+            values["direction_x"], values["direction_y"] = lane.direction.tolist()
+            values["lateral_x"], values["lateral_y"] = lane.direction_lateral.tolist()
             values["heading"] = lane.heading
         if kind == SINE:
             values |= {name: getattr(lane, name) for name in ("amplitude", "pulsation", "phase")}
@@ -114,18 +116,19 @@ class Network:
 
     def links(self, connected: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(starts [L + 1], lanes, offsets): where ``Road.neighbour_vehicles`` looks, per lane."""
+        if connected not in self._links and not connected:
+            alone = np.arange(len(self.lanes) + 1)
+            self._links[False] = alone, alone[:-1], np.zeros(len(self.lanes))
         if connected not in self._links:
-            per_lane = [self._links_of(index, connected) for index in self.indexes]
+            per_lane = [self._links_of(index) for index in self.indexes]
             starts = np.cumsum([0, *map(len, per_lane)])
             flat = [link for links in per_lane for link in links]
             lanes = np.array([lane for lane, _ in flat], np.int64)
             self._links[connected] = starts, lanes, np.array([offset for _, offset in flat], float)
         return self._links[connected]
 
-    def _links_of(self, index: LaneIndex, connected: bool) -> list[tuple[int, float]]:
+    def _links_of(self, index: LaneIndex) -> list[tuple[int, float]]:
         links = [(self.numbers[index], 0.0)]
-        if not connected:
-            return links
         start, end, lane = index
         graph = self.network.graph
         for following, lanes in graph.get(end, {}).items():

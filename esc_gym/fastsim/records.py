@@ -18,8 +18,8 @@ STRAIGHT, SINE, CIRCULAR, SPLINE = range(4)
 
 # What a simulation can change about a vehicle, read and written at every policy step.
 STATE_FLOATS = (
-    "x", "y", "heading", "speed", "steering", "acceleration", "target_speed", "timer",
-    "impact_x", "impact_y", "lateral_speed", "yaw_rate",
+    "x", "y", "heading", "speed", "steering", "acceleration", "timer",
+    "target_speed", "impact_x", "impact_y", "lateral_speed", "yaw_rate",
 )  # fmt: skip
 STATE_INTS = (
     "lane", "target_lane", "crashed", "has_impact", "hit", "yielding", "yield_timer",
@@ -56,6 +56,8 @@ VEHICLE = np.dtype(
     + [(name, "f8") for name in DERIVED]
 )
 STATE = struct.Struct(f"={len(STATE_FLOATS)}d{len(STATE_INTS)}q")
+# x to timer, route_taken and changed: what every vehicle needs back after a step.
+MOVED = struct.Struct(f"=7d{8 * (len(STATE_FLOATS) - 7 + len(STATE_INTS) - 2)}x2q")
 TRAITS = struct.Struct(f"={len(TRAIT_FLOATS)}d{len(TRAIT_INTS)}q")
 
 LANE_FLOATS = (

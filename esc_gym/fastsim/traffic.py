@@ -6,7 +6,9 @@ unknown. ``scatter`` writes as ``Vehicle.step`` does: positions in place, everyt
 
 from __future__ import annotations
 
-from operator import attrgetter
+from functools import cache, lru_cache
+from math import isfinite
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,7 @@ from esc_gym.fastsim.records import (
     LANE_CHANGED,
     LINEAR,
     MDP,
+    MOVED,
     NO_LANE,
     NO_ROAD,
     OBSTACLE,
@@ -43,6 +46,8 @@ NUMBERS = (float, np.float64, int, np.int64)
 DOUBLE = np.dtype(float)
 NOT_YIELDING = (0, 0)
 ROUTE_LENGTH = 16
+ACC_MAX = TRAIT_FLOATS.index("acc_max")  # comfort_max and comfort_min follow
+NO_ROUTE: list[Any] = []
 
 # Trait of the record: attribute of the vehicle, for the kinds that have it.
 _BODY = {
@@ -77,22 +82,85 @@ TRAITS_OF = {
     LINEAR: _LINEAR, OBSTACLE: _BODY, LANDMARK: _BODY,
 }  # fmt: skip
 _READ = {kind: attrgetter(*traits.values()) for kind, traits in TRAITS_OF.items()}
-_FLAGS = ("solid", "collidable", "checks_collisions", "changes_lanes", "collects")
+# What else of a driver's own attributes says that its record is still right.
+_PLACE = (
+    "road", "lane_index", "lane", "target_lane_index", "crashed", "hit",
+    "is_yielding", "yield_timer",
+)  # fmt: skip
 
 
-def _trait_record(kind: int, found: tuple[Any, ...]) -> list[Any]:
+def _arranger(kind: int) -> Any:
+    """Picks the traits of a record, in its order, from (*attributes, kind, 0)."""
+    names = list(TRAITS_OF[kind]) + list(_COEFFICIENTS if kind == LINEAR else ())
+    places = {name: place for place, name in enumerate([*names, "kind"])}
+    return itemgetter(*[places.get(name, -1) for name in TRAIT_FLOATS + TRAIT_INTS])
+
+
+_ARRANGE = {kind: _arranger(kind) for kind in TRAITS_OF}
+
+
+def _trait_record(kind: int, found: tuple[Any, ...]) -> tuple[Any, ...]:
     """What is packed into a record for the attributes of a vehicle or object."""
-    traits = dict(zip((*TRAITS_OF[kind], *_COEFFICIENTS), found, strict=False))
-    for name in _FLAGS:
-        traits[name] = bool(traits.get(name, False))
-    traits["kind"] = kind
-    traits["coasts"] = traits.get("coasts") == "zero_steering"
-    floats = [float(traits.get(name, 0.0)) for name in TRAIT_FLOATS]
-    if not np.isfinite(floats).all():
+    values = _ARRANGE[kind]((*found, kind, 0))
+    floats, flags = values[: len(TRAIT_FLOATS)], values[len(TRAIT_FLOATS) + 1 : -1]
+    if not isfinite(sum(floats)):
         raise Unknown("a vehicle with NaN or infinite parameters")
-    if kind in (IDM, LINEAR) and not traits["comfort_max"] * traits["comfort_min"] < 0:
-        raise Unknown("an IDM vehicle whose comfort accelerations have the same sign")
-    return [*floats, *(traits[name] for name in TRAIT_INTS)]
+    if kind in (IDM, LINEAR):
+        _, comfort_max, comfort_min = floats[ACC_MAX : ACC_MAX + 3]
+        if not comfort_max * comfort_min < 0:
+            raise Unknown("an IDM vehicle whose comfort accelerations have the same sign")
+    return *floats, kind, *map(bool, flags), values[-1] == "zero_steering"
+
+
+@lru_cache(1000)
+def _own_reader(kind: int, attributes: tuple[str, ...]) -> Any:
+    """Reads what a vehicle has itself of its record, but for what every step writes."""
+    return itemgetter(
+        *[name for name in (*_PLACE, *TRAITS_OF[kind].values()) if name in attributes]
+    )
+
+
+class Driver:
+    """What the last step left in a controlled vehicle: unless it was touched, its record is right.
+
+    Numbers that the step wrote are compared by identity, which 0.0 and -0.0 do not share.
+    """
+
+    __slots__ = (
+        "found", "heading", "place", "position", "read", "route", "size", "speed", "target_speed",
+        "timer",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.size = -1
+
+    def learn(self, vehicle: Any, kind: int, route: list[Any]) -> None:
+        """Note what a step does not change without saying so."""
+        d = vehicle.__dict__
+        self.read = _own_reader(kind, tuple(d))
+        self.size, self.found, self.route = len(d), self.read(d), route
+        self.position, self.target_speed = d["position"], d["target_speed"]
+
+    def untouched(self, d: dict[str, Any]) -> bool:
+        """Are a vehicle's attributes those that the step left?"""
+        return (
+            len(d) == self.size
+            and d["heading"] is self.heading
+            and d["speed"] is self.speed
+            and d["target_speed"] is self.target_speed
+            and d.get("timer") is self.timer
+            and d["position"] is self.position
+            and d["position"].tobytes() == self.place
+            and d["impact"] is None
+            and (d["route"] or NO_ROUTE) == self.route
+            and self.read(d) == self.found
+        )
+
+
+@cache
+def _class_traits(cls: type, kind: int) -> Any:
+    """Reads those traits that a class has for its vehicles."""
+    return attrgetter(*[name for name in TRAITS_OF[kind].values() if hasattr(cls, name)])
 
 
 class Traffic:
@@ -100,7 +168,7 @@ class Traffic:
 
     def __init__(self) -> None:
         self.items: Any = None  # not [], which is a road without vehicles
-        self.n = 0
+        self.n, self._settled = 0, False
 
     def gather(self, road: Any, network: Network, regulated: bool) -> None:
         """Read everything that a step depends on; Unknown where the kernels cannot go on."""
@@ -111,20 +179,30 @@ class Traffic:
             self._allocate(items, len(vehicles))
         self.road, self.regulated = road, regulated
         self.yielding_color = getattr(road, "YIELDING_COLOR", None)
+        classes = [read(cls) for cls, read in self._classes.items()]
+        settled = self._settled and classes == self._class_traits
+        self._settled, self._class_traits = False, classes
         for i, item in enumerate(items):
-            if len(item.__dict__) != self._sizes[i]:
-                self._sizes[i] = self._checked_size(item)
-            kind = self.kinds[i]
-            found = _READ[kind](item)
-            if kind == LINEAR:
-                found += (*item.ACCELERATION_PARAMETERS, *item.STEERING_PARAMETERS)
-            if found != self._traits[i]:
-                TRAITS.pack_into(self.records, i * SIZE + STATE.size, *_trait_record(kind, found))
-                self._traits[i] = found
-            if i < self.n:
-                self._gather_vehicle(i, kind, item)
-            else:
-                self._gather_object(i, item)
+            driver = self._drivers[i]
+            if not (settled and driver and driver.untouched(item.__dict__)):
+                self._gather_item(i, item)
+
+    def _gather_item(self, i: int, item: Any) -> None:
+        if len(item.__dict__) != self._sizes[i]:
+            self._sizes[i] = self._checked_size(item)
+        kind = self.kinds[i]
+        found = _READ[kind](item)
+        if kind == LINEAR:
+            found += (*item.ACCELERATION_PARAMETERS, *item.STEERING_PARAMETERS)
+        if found != self._traits[i]:
+            TRAITS.pack_into(self.records, i * SIZE + STATE.size, *_trait_record(kind, found))
+            self._traits[i] = found
+        if i >= self.n:
+            self._gather_object(i, item)
+            return
+        self._gather_vehicle(i, kind, item)
+        if driver := self._drivers[i]:
+            driver.learn(item, kind, self._routes[i] if item.route else NO_ROUTE)
 
     def _allocate(self, items: list[Any], n: int) -> None:
         kinds: list[Any] = [vehicle_kind(type(vehicle)) for vehicle in items[:n]]
@@ -141,6 +219,10 @@ class Traffic:
         self._sizes = [self._checked_size(item) for item in items]
         self.routes = np.zeros((m, ROUTE_LENGTH, 2), np.int64)
         self._routes: list[Any] = [None] * m
+        self._drivers = [Driver() if kind in (CONTROLLED, MDP, IDM) else None for kind in kinds]
+        classes = {type(item): kind for item, kind in zip(items, kinds, strict=True)}
+        self._classes = {cls: _class_traits(cls, kind) for cls, kind in classes.items()}
+        self._class_traits: list[Any] = []
 
     @staticmethod
     def _checked_size(item: Any) -> int:
@@ -194,8 +276,8 @@ class Traffic:
             slip, yaw = d["lateral_speed"], d["yaw_rate"]
         STATE.pack_into(
             self.records, i * SIZE,
-            x, y, heading, speed, action["steering"], action["acceleration"], target_speed, timer,
-            push_x, push_y, slip, yaw,
+            x, y, heading, speed, action["steering"], action["acceleration"], timer,
+            target_speed, push_x, push_y, slip, yaw,
             lane, target, d["crashed"], impact is not None, d["hit"], yielding, yield_timer,
             length, 0, 0,
         )  # fmt: skip
@@ -249,34 +331,46 @@ class Traffic:
 
     def scatter(self, samples: np.ndarray) -> None:
         """Write a simulated step back to the vehicles; samples [S, 8]: LinearVehicle's data."""
+        places = self.records.tobytes()
         for i, item in enumerate(self.items):
-            state = STATE.unpack_from(self.records, i * SIZE)
+            driver = self._drivers[i]
+            x, y, heading, speed, steering, acceleration, timer, taken, changed = MOVED.unpack_from(
+                self.records, i * SIZE
+            )
             if i < self.n:
-                self._scatter_vehicle(self.kinds[i], item, state)
-            if state[-1]:
-                self._scatter_changes(item, state, state[-1])
-            self._sync_route(i, state[-2])
+                d, kind = item.__dict__, self.kinds[i]
+                if kind == BICYCLE:
+                    self._scatter_bicycle(d, x, y, self.records[i])
+                else:
+                    position = d["position"]
+                    position[0] = x
+                    position[1] = y
+                d["heading"] = np.float64(heading)
+                d["speed"] = np.float64(speed) if type(d["speed"]) is np.float64 else speed
+                if kind >= CONTROLLED:
+                    d["action"] = {"steering": steering, "acceleration": acceleration}
+                else:
+                    d["action"]["steering"], d["action"]["acceleration"] = steering, acceleration
+                if kind >= IDM:
+                    d["timer"] = timer
+                if driver:
+                    driver.heading, driver.speed = d["heading"], d["speed"]
+                    driver.timer = d.get("timer")
+                    driver.place = places[i * SIZE : i * SIZE + 16]
+            if changed:
+                self._scatter_changes(item, STATE.unpack_from(self.records, i * SIZE), changed)
+            self._sync_route(i, taken)
+            if driver and (changed or taken):
+                driver.size = -1
         for row in samples:
             _append_sample(self.items[int(row[0])].data, row)
+        self._settled = True
 
-    def _scatter_vehicle(self, kind: int, vehicle: Any, state: tuple[Any, ...]) -> None:
-        x, y, heading, speed, steering, acceleration, _, timer, _, _, slip, yaw = state[:12]
-        d = vehicle.__dict__
-        if kind == BICYCLE:
-            d["position"] = np.array((x, y))
-            d["lateral_speed"], d["yaw_rate"] = np.float64(slip), np.float64(yaw)
-        else:
-            position = d["position"]
-            position[0] = x
-            position[1] = y
-        d["heading"] = np.float64(heading)
-        d["speed"] = np.float64(speed) if type(d["speed"]) is np.float64 else speed
-        if kind >= CONTROLLED:
-            d["action"] = {"steering": steering, "acceleration": acceleration}
-        else:
-            d["action"]["steering"], d["action"]["acceleration"] = steering, acceleration
-        if kind >= IDM:
-            d["timer"] = timer
+    @staticmethod
+    def _scatter_bicycle(d: dict[str, Any], x: float, y: float, record: Any) -> None:
+        d["position"] = np.array((x, y))
+        d["lateral_speed"] = record["lateral_speed"]
+        d["yaw_rate"] = record["yaw_rate"]
 
     def _scatter_changes(self, item: Any, state: tuple[Any, ...], changed: int) -> None:
         network, d = self.network, item.__dict__
@@ -295,7 +389,7 @@ class Traffic:
         if changed & HIT:
             d["hit"] = bool(hit)
         if changed & YIELD:
-            d["target_speed"] = 0 if yielding else state[6]
+            d["target_speed"] = 0 if yielding else state[7]
             d["is_yielding"], d["yield_timer"] = bool(yielding), yield_timer
             if yielding:
                 d["color"] = self.yielding_color

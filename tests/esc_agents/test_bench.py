@@ -100,30 +100,45 @@ def test_ratio():
 def test_the_last_bit_makes_a_difference(road, name):
     road.reset(seed=0)
     before = state(road, 1.0)
-    assert difference([before], [state(road, np.float64(1))]) is None
+    assert difference({0: before}, {0: state(road, np.float64(1))}) is None
     value = getattr(road.unwrapped.road.vehicles[0], name)
     setattr(road.unwrapped.road.vehicles[0], name, np.nextafter(value, np.inf))
-    assert difference([before] * 2, [before, state(road, 1.0)]) == f"{name} of vehicle 0, step 1"
+    assert difference({7: before}, {7: state(road, 1.0)}) == f"{name} of vehicle 0, step 7"
+
+
+def test_an_episode_that_ends_sooner_is_a_difference(road):
+    road.reset(seed=0)
+    assert difference({5: state(road)}, {6: state(road)}).endswith("step 5")
+
+
+def test_watched_or_not_a_drive_ends_the_same(road):
+    actions = draw_actions(road.action_space, 0)
+    watched, timed = (Side(road).drive(0, actions, watch) for watch in (True, False))
+    assert list(watched) == list(range(len(watched)))
+    assert len(watched) > 2
+    assert list(timed) == list(watched)[-1:]
+    last = len(watched) - 1
+    assert difference({last: watched[last]}, timed, GENERATOR) is None
 
 
 def test_all_that_is_compared(road):
     road.reset(seed=0)
     vehicle = road.unwrapped.road.vehicles[0]
     before = state(road)
-    assert "reward" in difference([before], [state(road, np.nextafter(0.0, 1.0))])
-    assert "terminated" in difference([before], [state(road, 0, True)])
-    assert "truncated" in difference([before], [state(road, 0, False, True)])
+    assert "reward" in difference({0: before}, {0: state(road, np.nextafter(0.0, 1.0))})
+    assert "terminated" in difference({0: before}, {0: state(road, 0, True)})
+    assert "truncated" in difference({0: before}, {0: state(road, 0, False, True)})
     vehicle.crashed = True
-    assert "crashed of vehicle 0" in difference([before], [state(road)])
+    assert "crashed of vehicle 0" in difference({0: before}, {0: state(road)})
     vehicle.crashed, vehicle.lane_index = False, ("c", "elsewhere", 0)
-    assert "lane_index of vehicle 0" in difference([before], [state(road)])
+    assert "lane_index of vehicle 0" in difference({0: before}, {0: state(road)})
     road.reset(seed=0)
     road.unwrapped.road.vehicles.append(deepcopy(vehicle))
-    assert "of vehicle 1" in difference([before], [state(road)])
+    assert "of vehicle 1" in difference({0: before}, {0: state(road)})
     road.reset(seed=0)
     road.unwrapped.np_random.random()
-    assert difference([before], [state(road)]) == f"{GENERATOR}, step 0"
-    assert difference([before], [state(road)], GENERATOR) is None
+    assert difference({0: before}, {0: state(road)}) == f"{GENERATOR}, step 0"
+    assert difference({0: before}, {0: state(road)}, GENERATOR) is None
 
 
 class Drift(gym.Wrapper):
