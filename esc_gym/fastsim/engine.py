@@ -76,9 +76,10 @@ class Simulation:
     def __init__(self, env: Any) -> None:
         self.env, self.enabled, self.behavior = env, False, Behavior()
         self.compiled, self.stock = 0, Counter()
-        self._forget()
+        self.forget()
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
+        """Let go of the road that was simulated last."""
         self._traffic, self._network, self._pinned = Traffic(), None, None
         self._tables = [np.empty((0, 0))] * 3
 
@@ -88,7 +89,7 @@ class Simulation:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._forget()
+        self.forget()
 
     def __call__(self, action: Any = None) -> None:
         """``AbstractEnv._simulate``."""
@@ -149,7 +150,7 @@ class Simulation:
         if road.record_history:
             raise Unknown("trajectories are recorded")
         if self._network is None or self._network.changed(road.network):
-            self._forget()
+            self.forget()
             self._network = Network(road.network)
         if regulated and not self._network.all_limited:
             raise Unknown("road rules on lanes without a speed limit")
@@ -208,12 +209,13 @@ class Simulation:
 class Reset:
     """Replaces ``_reset``: the scene that a fresh process would make, whatever ran before."""
 
-    def __init__(self, env: Any, behavior: Behavior) -> None:
-        self.env, self.behavior = env, behavior
+    def __init__(self, env: Any, simulation: Simulation) -> None:
+        self.env, self.simulation, self.behavior = env, simulation, simulation.behavior
 
     def __call__(self) -> None:
         """``AbstractEnv._reset``."""
         env = self.env
+        self.simulation.forget()
         vehicle_type: Any = utils.class_from_path(env.config["other_vehicles_type"])
         with original_behavior(vehicle_type):
             type(env)._reset(env)
@@ -289,7 +291,7 @@ def isolate(env: Any) -> Simulation:
     simulation = vars(base).get("_simulate")
     if not isinstance(simulation, Simulation):
         simulation = base._simulate = Simulation(base)
-        base._reset = Reset(base, simulation.behavior)
+        base._reset = Reset(base, simulation)
         if getattr(type(base), "_make_vehicles", None) is IntersectionEnv._make_vehicles:
             base._make_vehicles = MakeVehicles(base, simulation)
     return simulation

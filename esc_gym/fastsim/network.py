@@ -22,7 +22,7 @@ from esc_gym.fastsim.records import (
 
 LaneIndex = tuple[str, str, int]
 _RECORD = struct.Struct(f"={len(LANE_FLOATS)}d{len(LANE_INTS)}q")
-_FIELDS = {name: place for place, name in enumerate(LANE_FLOATS + LANE_INTS)}
+NOT_STRAIGHT, NOT_SINE, NOT_CIRCULAR, NOT_SPLINE = ((0,) * fields for fields in (7, 3, 5, 4))
 _RULES = attrgetter("length", "width", "speed_limit", "forbidden", "priority")
 
 
@@ -51,9 +51,7 @@ class Network:
         self._widths: list[float] = []
         self._exits: list[int] = []
         for number, (index, lane) in enumerate(zip(self.indexes, self.lanes, strict=True)):
-            record: list[Any] = [0] * len(_FIELDS)
-            for name, value in (*self._geometry(lane).items(), *self._topology(index).items()):
-                record[_FIELDS[name]] = value
+            record = self._record(index, lane)
             _RECORD.pack_into(self.records, number * LANE.itemsize, *record)
         self.poses = np.array(self._poses, float).reshape(-1, len(POSE_COLUMNS))
         self.widths = np.array(self._widths, float)
@@ -69,50 +67,43 @@ class Network:
             return True
         return network.lanes_list() != self.lanes or self._read_rules() != self._rules
 
-    def _topology(self, index: LaneIndex) -> dict[str, Any]:
+    def _topology(self, index: LaneIndex) -> tuple[int, ...]:
+        """id, road, count, exits, exits_count of a lane's record."""
         start, end, lane = index
-        first, count = self.numbers[start, end, 0], len(self.network.graph[start][end])
-        exits = [self.numbers[end, after, 0] for after in self.network.graph.get(end, {})]
+        exits = [self.numbers[end, after, 0] for after in self.network.graph.get(end, ())]
+        place = len(self._exits)
         self._exits += exits
-        places = {"exits": len(self._exits) - len(exits), "exits_count": len(exits)}
-        return {"id": lane, "road": first, "count": count, **places}
+        count = len(self.network.graph[start][end])
+        return lane, self.numbers[start, end, 0], count, place, len(exits)
 
-    def _geometry(self, lane: Any) -> dict[str, Any]:
+    def _record(self, index: LaneIndex, lane: Any) -> list[Any]:
+        """The fields of a lane's record, in their order."""
         kind = lane_kind(type(lane))
         if kind is None:
             raise Unknown(f"lane class {type(lane).__name__}")
-        limited = lane.speed_limit is not None
-        values = {
-            "kind": kind, "length": lane.length, "width": lane.width, "priority": lane.priority,
-            "forbidden": bool(lane.forbidden), "limited": limited,
-            "speed_limit": lane.speed_limit if limited else 0.0,
-        }  # fmt: skip
+        length, width, limit, forbidden, priority = _RULES(lane)
+        straight, sine, circular, spline = NOT_STRAIGHT, NOT_SINE, NOT_CIRCULAR, NOT_SPLINE
         if kind in (STRAIGHT, SINE):
-            values["start_x"], values["start_y"] = lane.start.tolist()
-            values["direction_x"], values["direction_y"] = lane.direction.tolist()
-            values["lateral_x"], values["lateral_y"] = lane.direction_lateral.tolist()
-            values["heading"] = lane.heading
+            places = (*lane.start.tolist(), *lane.direction.tolist())
+            straight = (*places, *lane.direction_lateral.tolist(), lane.heading)
         if kind == SINE:
-            values |= {name: getattr(lane, name) for name in ("amplitude", "pulsation", "phase")}
+            sine = lane.amplitude, lane.pulsation, lane.phase
         if kind == CIRCULAR:
-            values["center_x"], values["center_y"] = lane.center
-            values |= {"radius": lane.radius, "start_phase": lane.start_phase}
-            values["turn"] = lane.direction
+            circular = (*lane.center.tolist(), lane.radius, lane.start_phase, lane.direction)
         if kind == SPLINE:
-            values |= self._spline(lane)
-        return values
+            spline = self._spline(lane)
+        limited = limit is not None
+        rules = length, width, limit if limited else 0.0, priority, kind, bool(forbidden), limited
+        return [*straight, *sine, *circular, *rules, *self._topology(index), *spline]
 
-    def _spline(self, lane: Any) -> dict[str, int]:
-        places = {"poses": len(self._poses), "widths": len(self._widths)}
+    def _spline(self, lane: Any) -> tuple[int, ...]:
+        """poses, poses_count, widths, widths_count of a lane's record."""
+        poses, widths = len(self._poses), len(self._widths)
         for at, pose in zip(lane.curve.s_samples, lane.curve.poses, strict=True):
             heading = np.arctan2(pose.normal[1], pose.normal[0])
             self._poses.append((at, *pose.position, *pose.normal, *pose.orthonormal, heading))
         self._widths += getattr(lane, "width_samples", [])
-        counts = {
-            "poses_count": len(self._poses) - places["poses"],
-            "widths_count": len(self._widths) - places["widths"],
-        }
-        return places | counts
+        return poses, len(self._poses) - poses, widths, len(self._widths) - widths
 
     def links(self, connected: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(starts [L + 1], lanes, offsets): where ``Road.neighbour_vehicles`` looks, per lane."""

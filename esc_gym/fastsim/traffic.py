@@ -340,7 +340,9 @@ class Traffic:
             if i < self.n:
                 d, kind = item.__dict__, self.kinds[i]
                 if kind == BICYCLE:
-                    self._scatter_bicycle(d, x, y, self.records[i])
+                    slip, yaw = STATE.unpack_from(self.records, i * SIZE)[10:12]
+                    d["position"] = np.array((x, y))
+                    d["lateral_speed"], d["yaw_rate"] = np.float64(slip), np.float64(yaw)
                 else:
                     position = d["position"]
                     position[0] = x
@@ -365,12 +367,6 @@ class Traffic:
         for row in samples:
             _append_sample(self.items[int(row[0])].data, row)
         self._settled = True
-
-    @staticmethod
-    def _scatter_bicycle(d: dict[str, Any], x: float, y: float, record: Any) -> None:
-        d["position"] = np.array((x, y))
-        d["lateral_speed"] = record["lateral_speed"]
-        d["yaw_rate"] = record["yaw_rate"]
 
     def _scatter_changes(self, item: Any, state: tuple[Any, ...], changed: int) -> None:
         network, d = self.network, item.__dict__
