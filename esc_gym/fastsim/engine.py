@@ -23,6 +23,7 @@ from esc_gym.fastsim.network import Network, Unknown
 from esc_gym.fastsim.records import KEEP, LEFT, LINEAR, MDP, RIGHT, SAMPLE_COLUMNS
 from esc_gym.fastsim.traffic import Traffic
 
+NO_SAMPLES = np.empty((0, SAMPLE_COLUMNS))
 COMMANDS = {"LANE_LEFT": LEFT, "LANE_RIGHT": RIGHT}
 SPEED_STEPS = {"FASTER": 1, "SLOWER": -1}
 UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, IndexError, struct.error)
@@ -172,8 +173,8 @@ class Simulation:
             if rules_every < 1:
                 raise Unknown("road rules that are checked more often than sub-steps are made")
             patience = road.YIELD_DURATION * road.REGULATION_FREQUENCY
-        collecting = frames * traffic.kinds[: traffic.n].count(LINEAR)
-        samples = np.empty((collecting, SAMPLE_COLUMNS))
+        collecting = frames * traffic.kinds.count(LINEAR)
+        samples = np.empty((collecting, SAMPLE_COLUMNS)) if collecting else NO_SAMPLES
         progress = np.zeros(kernel.COMMAND + 1, np.int64)
         ego = 0
         if meta_action:

@@ -143,6 +143,7 @@ _NAMESPACES = [(vars(owner), names) for owner, names in _REPEATED]
 _DEFINED = [(n, [name for name in names if name in n]) for n, names in _NAMESPACES]
 _UNDEFINED = [(n, [name for name in names if name not in n]) for n, names in _NAMESPACES]
 _GETTERS = [(itemgetter(*names), namespace) for namespace, names in _DEFINED if names]
+_SPACES = [namespace for namespace, _ in _NAMESPACES]
 
 
 def _found() -> list[Any]:
@@ -150,7 +151,7 @@ def _found() -> list[Any]:
 
 
 def _sizes() -> list[int]:
-    return [len(namespace) for namespace, _ in _NAMESPACES]
+    return list(map(len, _SPACES))
 
 
 _FOUND, _SIZES = _found(), _sizes()

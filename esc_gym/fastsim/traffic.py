@@ -45,6 +45,7 @@ SIZE = VEHICLE.itemsize
 NUMBERS = (float, np.float64, int, np.int64)
 DOUBLE = np.dtype(float)
 NOT_YIELDING = (0, 0)
+DRIVERS = (CONTROLLED, MDP, IDM)
 ROUTE_LENGTH = 16
 ACC_MAX = TRAIT_FLOATS.index("acc_max")  # comfort_max and comfort_min follow
 NO_ROUTE: list[Any] = []
@@ -219,9 +220,11 @@ class Traffic:
         self._sizes = [self._checked_size(item) for item in items]
         self.routes = np.zeros((m, ROUTE_LENGTH, 2), np.int64)
         self._routes: list[Any] = [None] * m
-        self._drivers = [Driver() if kind in (CONTROLLED, MDP, IDM) else None for kind in kinds]
+        self._drivers = [Driver() if kind in DRIVERS else None for kind in kinds]
         classes = {type(item): kind for item, kind in zip(items, kinds, strict=True)}
-        self._classes = {cls: _class_traits(cls, kind) for cls, kind in classes.items()}
+        self._classes = {
+            cls: _class_traits(cls, kind) for cls, kind in classes.items() if kind in DRIVERS
+        }
         self._class_traits: list[Any] = []
 
     @staticmethod
