@@ -128,8 +128,7 @@ class Driver:
     """
 
     __slots__ = (
-        "found", "heading", "place", "position", "read", "route", "size", "speed", "target_speed",
-        "timer",
+        "found", "heading", "place", "read", "route", "size", "speed", "target_speed", "timer",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -140,7 +139,7 @@ class Driver:
         d = vehicle.__dict__
         self.read = _own_reader(kind, tuple(d))
         self.size, self.found, self.route = len(d), self.read(d), route
-        self.position, self.target_speed = d["position"], d["target_speed"]
+        self.target_speed = d["target_speed"]
 
     def untouched(self, d: dict[str, Any]) -> bool:
         """Are a vehicle's attributes those that the step left?"""
@@ -150,7 +149,6 @@ class Driver:
             and d["speed"] is self.speed
             and d["target_speed"] is self.target_speed
             and d.get("timer") is self.timer
-            and d["position"] is self.position
             and d["position"].tobytes() == self.place
             and d["impact"] is None
             and (d["route"] or NO_ROUTE) == self.route

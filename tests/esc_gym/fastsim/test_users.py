@@ -29,11 +29,11 @@ from tests.esc_gym.fastsim.test_scenes import Scene, ordinary_traffic, others
 
 
 class Meddler(gym.Wrapper):
-    """Calls ``change(env.unwrapped)`` before the second and the fourth step of each episode."""
+    """Calls ``change(env.unwrapped)`` before some steps of each episode."""
 
-    def __init__(self, env, change):
+    def __init__(self, env, change, when=(2, 4)):
         super().__init__(env)
-        self.change, self.steps = change, 0
+        self.change, self.when, self.steps = change, when, 0
 
     def reset(self, **arguments):
         self.steps = 0
@@ -41,7 +41,7 @@ class Meddler(gym.Wrapper):
 
     def step(self, action):
         self.steps += 1
-        if self.steps in (2, 4):
+        if self.steps in self.when:
             self.change(self.unwrapped)
         return super().step(action)
 
@@ -100,7 +100,40 @@ def teleport(env):
         vehicle.on_state_update()
 
 
+def nudge(env):
+    """Without telling the vehicle: its lane stays what it was."""
+    for vehicle in others(env)[::2]:
+        vehicle.position[1] += 0.01
+
+
+def zeros_with_a_sign(env):
+    for vehicle in env.road.vehicles:
+        vehicle.heading = -0.0
+        vehicle.position[vehicle.position == 0.0] = -0.0
+
+
+def other_lanes(env):
+    """Everybody wants to the first lane of the road."""
+    for vehicle in others(env):
+        vehicle.target_lane_index = (*vehicle.lane_index[:2], 0)
+
+
+def other_routes(env):
+    """Once around the roundabout, or off at the next exit."""
+    for vehicle in others(env):
+        vehicle.plan_route_to(["wxr", "exr"][env.steps // 15 % 2])
+
+
 CHANGES = {
+    "nudge": nudge,
+    "zeros with a sign": zeros_with_a_sign,
+    "other lanes": other_lanes,
+    "timers": on_each(timer=0.9),
+    "impact": on_each(impact=np.array([0.5, -0.1])),
+    "another position": lambda env: [
+        vars(vehicle).update(position=vehicle.position + 0.5) for vehicle in others(env)[::2]
+    ],
+    "an action": lambda env: [vehicle.action.update(steering=0.3) for vehicle in others(env)],
     "teleport": teleport,
     "add": add,
     "add as the first": partial(add, at=0),
@@ -133,6 +166,11 @@ def test_changes_between_steps(name, env_id):
     lockstep(partial(meddled, env_id, CHANGES[name]), steps=6, seeds=[1], compiled=None)
 
 
+def test_routes_that_change_between_steps():
+    make = partial(gym.make, "roundabout-v0")
+    lockstep(lambda: Meddler(make(), other_routes, when=range(2, 12)), steps=12, seeds=range(4))
+
+
 @pytest.mark.parametrize("change", [new_lane, new_network])
 def test_changes_of_the_network(change):
     lockstep(partial(meddled, "highway-fast-v0", change), steps=6, seeds=[1], compiled=None)
@@ -157,6 +195,18 @@ def test_changed_classes(env_id, cls, name, value, monkeypatch):
     monkeypatch.setattr(cls, name, value)
     changed = lockstep(make, steps=5, seeds=[0], compiled=None)
     assert str(plain) != str(changed)
+
+
+def test_classes_that_change_between_steps(monkeypatch):
+    """A constant of a driver's class, there and back."""
+    monkeypatch.setattr(IDMVehicle, "TIME_WANTED", IDMVehicle.TIME_WANTED)
+
+    def toggle(env):
+        IDMVehicle.TIME_WANTED = 2.0 - IDMVehicle.TIME_WANTED
+
+    make = partial(gym.make, "highway-fast-v0")
+    changed = lockstep(lambda: Meddler(make(), toggle), steps=6, seeds=[1])
+    assert str(changed) != str(lockstep(make, steps=6, seeds=[1]))
 
 
 class Sleepy(IDMVehicle):
