@@ -164,13 +164,13 @@ class SetObservationType(ObservationType):
         x, y, ego = view.x, view.y, view.vehicle
         reach = self.spec.perception_distance
         limit = reach * reach
+        behind, ahead = x - reach - 1.0, x + reach + 1.0
         road: Any = self.env.road
         near = []
         for other in chain(road.vehicles, road.objects):
-            other_x, other_y = other.position.tolist()
-            dx = other_x - x
-            if -reach < dx < reach:  # most vehicles of a long road end here
-                dy = other_y - y
+            if behind < other.position.item(0) < ahead:  # most vehicles of a long road are not
+                other_x, other_y = other.position.tolist()
+                dx, dy = other_x - x, other_y - y
                 squared = dx * dx + dy * dy
                 if squared < limit and other is not ego and other.solid:
                     row = default_row(view, other, dx, dy)
