@@ -77,12 +77,16 @@ class Simulation:
     def __init__(self, env: Any) -> None:
         self.env, self.enabled, self.behavior = env, False, Behavior()
         self.compiled, self.stock = 0, Counter()
+        self._start()
+
+    def _start(self) -> None:
+        self._network: Network | None = None
+        self._tables = [np.empty((0, 0))] * 3
         self.forget()
 
     def forget(self) -> None:
-        """Let go of the road that was simulated last."""
-        self._traffic, self._network, self._pinned = Traffic(), None, None
-        self._tables = [np.empty((0, 0))] * 3
+        """Let go of the vehicles that were simulated last."""
+        self._traffic, self._pinned = Traffic(), None
 
     def __getstate__(self) -> dict[str, Any]:
         kept = ("env", "enabled", "behavior", "compiled", "stock")
@@ -90,7 +94,7 @@ class Simulation:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self.forget()
+        self._start()
 
     def __call__(self, action: Any = None) -> None:
         """``AbstractEnv._simulate``."""
@@ -152,7 +156,8 @@ class Simulation:
             raise Unknown("trajectories are recorded")
         if self._network is None or self._network.changed(road.network):
             self.forget()
-            self._network = Network(road.network)
+            if self._network is None or not self._network.takes_over(road.network):
+                self._network = Network(road.network)
         if regulated and not self._network.all_limited:
             raise Unknown("road rules on lanes without a speed limit")
         self._regulated = regulated

@@ -373,6 +373,37 @@ def test_configured_by_reset():
     lockstep(lambda: Reconfigured(make()), seeds=range(4), steps=5)
 
 
+class Rebuilt(gym.Wrapper):
+    """Every other episode on a road of the same lanes in other places."""
+
+    def __init__(self, env, name, change):
+        super().__init__(env)
+        self.name, self.change = name, change
+
+    def reset(self, *, seed=None, options=None):
+        returned = super().reset(seed=seed, options=options)
+        for lane in self.unwrapped.road.network.lanes_list():
+            if seed % 2 and hasattr(lane, self.name):
+                setattr(lane, self.name, getattr(lane, self.name) + self.change)
+        return returned
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("start", np.array([0.0, 0.1])),
+        ("heading", 0.01),
+        ("radius", 0.1),
+        ("center", np.array([0.1, 0.0])),
+        ("amplitude", 0.1),
+        ("width", -0.5),
+    ],
+)
+def test_roads_rebuilt_elsewhere(name, change):
+    make = partial(gym.make, "roundabout-v0")
+    lockstep(lambda: Rebuilt(make(), name, change), seeds=range(3), steps=6)
+
+
 @pytest.mark.parametrize("env_id", ["highway-fast-v0", "intersection-v1", "parking-v0"])
 def test_the_set_observation(env_id):
     config = {"config": {"duration": 10}} if env_id != "parking-v0" else {}
