@@ -1,8 +1,8 @@
 """esc-bench's work: how fast the accelerated environments are, and whether they drive the same.
 
-Stock highway-env and ours take turns in one process, an episode each, on the same seeds and
-actions, so that a noisy machine hits both alike. A first round, not timed, compares every step; the
-others compare how each episode ends.
+Stock highway-env and ours take turns, an episode each, on the same seeds and actions, so that a
+noisy machine hits both alike. A first round, not timed, compares every step; the others compare how
+each episode ends.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ import platform
 import time
 import warnings
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -51,11 +53,12 @@ SPEED_TEXT = f"""## Simulation and observation
 
 One `env.step`, one `env.reset`. Stock: `gym.make(id)`. Accelerated: `gym.make("esc_gym/" + id)`,
 set observation included; with an asterisk, `esc_gym.accelerate(gym.make(id))` and highway-env's own
-observation. The two take turns of an episode of at most {STEPS} steps, on the same seeds and random
-actions; of several rounds the fastest mean of each counts. Reward, end, random generator and
-position, heading, speed, lane and crash of every vehicle are compared, to the last bit: after every
-step in a first round, which is not timed, and at the end of each episode in the others. (Not the
-generator in {", ".join(NOISY)}: its stock observation draws noise from it.)
+observation. Each id has a process of its own, in which the two take turns of an episode of at most
+{STEPS} steps, on the same seeds and random actions; of several rounds the fastest mean of each
+counts. Reward, end, random generator and position, heading, speed, lane and crash of every vehicle
+are compared, to the last bit: after every step in a first round, which is not timed, and at the end
+of each episode in the others. (Not the generator in {", ".join(NOISY)}: its stock observation draws
+noise from it.)
 """
 TRAINING_COLUMNS = ("environment", "stock steps/s", "esc-gym steps/s", "ratio")
 TRAINING_TEXT = f"""## PPO training, end to end
@@ -83,7 +86,7 @@ def benchmark(
         make_folder(out)
     speeds = []
     for number, id in enumerate(ids, 1):
-        speeds.append(measure(id, seeds, seconds))
+        speeds.append(in_own_process(measure, id, seeds, seconds))
         _, stock, ours, times, *_, same = speeds[-1].cells()
         say(f"[{number}/{len(ids)}] {id}: {stock} -> {ours} ms/step, {times}; {same}")
     steps = [SPEED_COLUMNS, *(speed.cells() for speed in speeds)]
@@ -116,6 +119,12 @@ def check_ids(envs: Sequence[str]) -> list[str]:
     if not ids:
         raise UserError("--envs: expected at least one highway-env id, got none")
     return list(dict.fromkeys(ids))
+
+
+def in_own_process(function: Any, *arguments: Any) -> Any:
+    """The function's value, computed in a new process: what ran before leaves Python slower."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as process:
+        return process.submit(function, *arguments).result()
 
 
 @dataclass(frozen=True)

@@ -170,13 +170,13 @@ def test_actions_repeat_and_vary():
 
 def test_a_difference_ends_with_code_1(monkeypatch):
     differing = Speed("highway-v0", (1, 1), (1, 1), 1.0, 1, {0: "reward, step 3"})
-    monkeypatch.setattr(bench, "measure", lambda *_: differing)
+    monkeypatch.setattr(bench, "in_own_process", lambda *_: differing)
     assert cli.command(QUICK) == 1
 
 
 def test_all_environments_by_default(monkeypatch):
     measured = []
-    monkeypatch.setattr(bench, "measure", lambda id, *_: measured.append(id) or SPEED)
+    monkeypatch.setattr(bench, "in_own_process", lambda _, id, *rest: measured.append(id) or SPEED)
     assert cli.command([]) == 0
     assert tuple(measured) == HIGHWAY_ENV_IDS
     assert len(measured) == 31
