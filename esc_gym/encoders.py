@@ -93,7 +93,8 @@ def _check_positive(**values: Any) -> None:
             raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
 
 
-def _hidden_layers(inputs: int, hidden: Sequence[int]) -> nn.Sequential:
+def hidden_layers(inputs: int, hidden: Sequence[int]) -> nn.Sequential:
+    """Fully connected layers of these widths, each followed by GELU."""
     layers = nn.Sequential()
     for width in hidden:
         layers.extend([nn.Linear(inputs, width), nn.GELU()])
@@ -128,7 +129,7 @@ class _PooledEncoder(SetEncoder):
 
     def __init__(self, **dims: Any) -> None:
         super().__init__(**dims)
-        self.layers = _hidden_layers(self.vehicle_dim, self.hidden)
+        self.layers = hidden_layers(self.vehicle_dim, self.hidden)
         self.output = nn.Linear(self.hidden[-1], self.code_dim)
 
     def _sum(self, vehicles: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -190,7 +191,7 @@ class AttentionEncoder(SetEncoder):
         _check_positive(heads=heads)
         self.heads, self.width = heads, -(-self.hidden[-1] // heads)
         total = heads * self.width
-        self.layers = _hidden_layers(self.vehicle_dim, self.hidden)
+        self.layers = hidden_layers(self.vehicle_dim, self.hidden)
         self.key_value = nn.Linear(self.hidden[-1], 2 * total)
         self.query = nn.Linear(self.ego_dim, total)
         self.output = nn.Linear(total, self.code_dim)
@@ -256,7 +257,7 @@ class APEncoder(SetEncoder):
         self.register_buffer("center", center, persistent=False)
         self.register_buffer("reach", ahead - center, persistent=False)
         self.register_buffer("virtual", virtual, persistent=False)
-        self.layers = _hidden_layers(self.slots * self.vehicle_dim, self.hidden)
+        self.layers = hidden_layers(self.slots * self.vehicle_dim, self.hidden)
         self.output = nn.Linear(self.hidden[-1], self.code_dim)
 
     def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:

@@ -1,0 +1,1 @@
+"""The paper's experiment: six target policies, ESC against FP and AP."""

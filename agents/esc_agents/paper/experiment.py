@@ -1,0 +1,144 @@
+"""The grid of the paper's table, trained cell by cell; what is finished stays finished."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any
+
+import torch
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from esc_agents.errors import UserError
+from esc_agents.paper import results
+from esc_agents.paper.results import Damaged, Result
+from esc_agents.paper.targets import MAX_VEHICLES
+from esc_agents.paper.training import Cell, train
+from esc_agents.run import versions
+from esc_agents.train import say
+from esc_gym.encoders import APEncoder, representation
+
+SPAWN = get_context("spawn")  # torch's threads do not survive a fork
+_done: Any = None  # of a worker: work that all of them have done, shared
+
+
+def grid(
+    benchmarks: Sequence[int], sizes: Sequence[int | None], reprs: Sequence[str],
+    seeds: Sequence[int],
+) -> list[Cell]:  # fmt: skip
+    """The cells in the order in which they are trained: a whole table for one seed after the other.
+
+    FP and AP take sets of one size: they have no cell where M varies.
+    """
+    one_size = {repr for repr in reprs if issubclass(representation(repr), APEncoder)}
+    return [
+        Cell(benchmark, size, repr, seed)
+        for seed, benchmark, size, repr in product(seeds, benchmarks, sizes, reprs)
+        if size is not None or repr not in one_size
+    ]
+
+
+def run(cells: Sequence[Cell], updates: int, device: str, workers: int, out: Path) -> None:
+    """Train those of ``cells`` that ``out`` does not hold yet, ``workers`` at a time."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"--out {out}: {error.strerror}") from error
+    missing = [cell for cell in cells if not finished(cell, updates, out)]
+    say(f"{len(cells)} cells, {len(cells) - len(missing)} of them finished, into {out}")
+    if not missing:
+        return
+    done = SPAWN.Value("d", 0.0)
+    pool = ProcessPoolExecutor(workers, SPAWN, _start_worker, (done,))
+    jobs = [pool.submit(train_cell, cell, updates, device, out) for cell in missing]
+    try:
+        with _progress(sum(updates * cost(cell) for cell in missing), done):
+            for number, job in enumerate(as_completed(jobs), 1):
+                result = job.result()
+                say(f"[{number}/{len(missing)}] {describe(result)}")
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def finished(cell: Cell, updates: int, out: Path) -> bool:
+    """Does ``out`` hold the cell? A damaged file is named, and trained again.
+
+    Raises UserError for a cell that was trained with another number of updates.
+    """
+    try:
+        result = results.read(out, cell)
+    except Damaged as damaged:
+        say(f"{damaged}; it is trained again")
+        return False
+    if result and result.updates != updates:
+        raise UserError(
+            f"--updates {updates}: {results.path_of(out, cell)} was trained with "
+            f"{result.updates}; give another --out, or --updates {result.updates}"
+        )
+    return result is not None
+
+
+def cost(cell: Cell) -> float:
+    """Work of an update, relative to others: rows through h, and through the rest."""
+    if issubclass(representation(cell.repr), APEncoder):
+        return 2.0
+    return 1.0 + (cell.size or (1 + MAX_VEHICLES) / 2)
+
+
+def train_cell(cell: Cell, updates: int, device: str, out: Path) -> Result:
+    """Train one cell and write its file. Called in a worker."""
+    start, work = time.perf_counter(), cost(cell)
+
+    def tick(update: int) -> None:
+        if _done is not None:
+            with _done.get_lock():
+                _done.value += work
+
+    points = train(cell, updates, device, tick)
+    seconds = time.perf_counter() - start
+    result = Result(cell, updates, points, seconds, versions() | {"device": device})
+    results.write(out, result)
+    return result
+
+
+def describe(result: Result) -> str:
+    """One line about a finished cell."""
+    cell, last = result.cell, result.points[-1].errors
+    size = "1..20" if cell.size is None else cell.size
+    errors = ", ".join(f"{error:.4g} at M={m}" for m, error in last.items())
+    return (
+        f"benchmark {cell.benchmark}, M={size}, {cell.repr}, seed {cell.seed}: MSE {errors} "
+        f"({result.seconds:.0f} s)"
+    )
+
+
+def _start_worker(done: Any) -> None:
+    global _done
+    _done = done
+    torch.set_num_threads(1)
+
+
+@contextmanager
+def _progress(total: float, done: Any) -> Iterator[None]:
+    """A bar with the time left, in a terminal."""
+    columns = BarColumn(None), TextColumn("{task.percentage:.1f}%"), TimeElapsedColumn()
+    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), transient=True) as bar:
+        task, over = bar.add_task("", total=total), Event()
+
+        def follow() -> None:
+            while not over.wait(0.5):
+                bar.update(task, completed=done.value)
+
+        follower = Thread(target=follow, daemon=True)
+        follower.start()
+        try:
+            yield
+        finally:
+            over.set()
+            follower.join()

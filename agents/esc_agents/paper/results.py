@@ -1,0 +1,79 @@
+"""Finished cells as files: each written whole and checked when it is read."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from esc_agents.paper.training import Cell, Point
+from esc_agents.run import write_text
+
+SCHEMA = 1
+
+
+class Damaged(Exception):
+    """A result file that is not what was written; says which and why."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A trained cell. points: its errors during training, the last ones after ``updates``.
+
+    seconds: wall time of the training. made_with: device, versions and commit.
+    """
+
+    cell: Cell
+    updates: int
+    points: list[Point]
+    seconds: float
+    made_with: dict[str, str]
+
+
+def path_of(folder: Path, cell: Cell) -> Path:
+    """b<benchmark>-<M or any>-<representation>-s<seed>.json"""
+    size = "any" if cell.size is None else cell.size
+    return folder / f"b{cell.benchmark}-{size}-{cell.repr.replace(':', '.')}-s{cell.seed}.json"
+
+
+def write(folder: Path, result: Result) -> None:
+    """Write a cell's file at once: it is there whole, or not at all."""
+    content = {"schema": SCHEMA, **asdict(result)}
+    record = {"sha256": _digest(content), **content}
+    write_text(path_of(folder, result.cell), json.dumps(record, indent=1) + "\n")
+
+
+def read(folder: Path, cell: Cell) -> Result | None:
+    """A cell's result, None if it was not trained yet. Raises Damaged."""
+    path = path_of(folder, cell)
+    if not path.exists():
+        return None
+    result = read_file(path)
+    if result.cell != cell:
+        raise Damaged(f"{path}: holds another cell, {result.cell}")
+    return result
+
+
+def read_file(path: Path) -> Result:
+    """The result in a file. Raises Damaged."""
+    try:
+        record = json.loads(path.read_bytes())
+        if record.pop("sha256") != _digest(record):
+            raise Damaged(f"{path}: its contents do not match their checksum")
+        if record.pop("schema") != SCHEMA:
+            raise Damaged(f"{path}: written by another version of esc-paper")
+        points = [
+            Point(point["update"], {int(size): e for size, e in point["errors"].items()})
+            for point in record.pop("points")
+        ]
+        return Result(cell=Cell(**record.pop("cell")), points=points, **record)
+    except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
+        raise Damaged(f"{path}: not a whole result of esc-paper ({error!r})") from error
+
+
+def _digest(content: dict[str, Any]) -> str:
+    # Through JSON once, which turns the keys of ``errors`` into text.
+    plain = json.loads(json.dumps(content))
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,100 @@
+"""The data: uniform, independent, the same wherever and in whatever order it is drawn."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from esc_agents.paper import samples
+from esc_agents.paper.samples import COUNTS, Samples
+
+TEST = Samples("test", 0, 20)
+
+
+def test_the_generator_is_splitmix64():
+    """The first outputs from state 1234567, as published with many implementations."""
+    published = [
+        6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431,
+        16408922859458223821,
+    ]  # fmt: skip
+    found = samples._scramble(torch.arange(1, 6), 1234567)
+    assert found.tolist() == [number >> 32 for number in published]
+
+
+def test_values_are_uniform():
+    drawn = TEST.all()
+    assert drawn.vehicles.shape == (2048, 20, 5)
+    assert drawn.ego.shape == (2048, 10)
+    values = torch.cat([drawn.vehicles.flatten(1), drawn.ego], dim=1).double().numpy()
+    assert values.min() >= -5
+    assert values.max() < 5
+    assert stats.kstest(values.ravel(), stats.uniform(-5, 10).cdf).pvalue > 0.001
+    # 110 places in 2048 samples: no two of them move together.
+    correlation = np.corrcoef(values.T) - np.eye(values.shape[1])
+    assert np.abs(correlation).max() < 6 / np.sqrt(len(values))
+    assert len(np.unique(values)) > 0.98 * values.size  # 2^24 values can occur
+
+
+def test_variable_sizes():
+    sets = Samples("test", 3, None).all()
+    sizes = sets.mask.sum(dim=1)
+    assert stats.chisquare(np.bincount(sizes, minlength=21)[1:]).pvalue > 0.001
+    assert torch.equal(sets.mask, torch.arange(20) < sizes[:, None])
+    assert (sets.vehicles[~sets.mask] == 0).all()
+
+
+def test_sets_of_different_sizes_are_nested():
+    one, other = Samples("test", 1, 5).all(), Samples("test", 1, 15).all()
+    assert torch.equal(one.vehicles, other.vehicles[:, :5])
+    assert torch.equal(one.ego, other.ego)
+
+
+def test_seeds_and_splits_differ():
+    index = torch.arange(100)
+    drawn = [
+        Samples(split, seed, 5).draw(index).ego for split in ("train", "test") for seed in (0, 1)
+    ]
+    for number, ego in enumerate(drawn):
+        assert not any((ego == other).any() for other in drawn[:number])
+
+
+def test_a_sample_is_the_same_wherever_it_is_drawn():
+    index = torch.tensor([999_999, 3, 3, 512])
+    drawn = Samples("train", 7, None).draw(index)
+    for row, number in enumerate(index):
+        alone = Samples("train", 7, None).draw(number[None])
+        for together, single in zip(drawn, alone, strict=True):
+            assert torch.equal(together[row], single[0])
+
+
+def test_batches_cover_the_split():
+    train = Samples("train", 0, 5)
+    batch = torch.cat([train.batch(update, 512) for update in range(200)])
+    assert batch.min() >= 0
+    assert batch.max() < COUNTS["train"]
+    assert stats.kstest(batch.numpy() / COUNTS["train"], "uniform").pvalue > 0.001
+    assert torch.equal(train.batch(7, 512), train.batch(7, 512))
+    assert not torch.equal(train.batch(7, 512), Samples("train", 1, 5).batch(7, 512))
+
+
+def test_the_same_in_another_process():
+    code = (
+        "import torch; from esc_agents.paper.samples import Samples;"
+        "print(Samples('test', 5, 10).all().vehicles.double().sum().item())"
+    )
+    printed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert float(printed) == Samples("test", 5, 10).all().vehicles.double().sum().item()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a second device")
+def test_the_same_on_a_gpu():
+    here, there = TEST.all(), TEST.all("cuda")
+    for a, b in zip(here, there, strict=True):
+        assert torch.equal(a, b.cpu())

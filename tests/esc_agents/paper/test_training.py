@@ -1,0 +1,91 @@
+"""The networks are the paper's, and what is trained is what they say."""
+
+from __future__ import annotations
+
+import warnings
+from itertools import pairwise
+
+import pytest
+import torch
+from torch import nn
+
+from esc_agents.paper.samples import Samples
+from esc_agents.paper.targets import Sets
+from esc_agents.paper.training import Cell, Policy, train
+from esc_gym.encoders import REPRESENTATIONS
+
+
+def chain(widths, gelu):
+    """Layers by their widths; ``gelu``: whether each is followed by one."""
+    layers = []
+    for (inputs, outputs), active in zip(pairwise(widths), gelu, strict=True):
+        layers += [nn.Linear(inputs, outputs), *[nn.GELU()] * active]
+    return nn.Sequential(*layers)
+
+
+def parameters(module):
+    return sum(p.numel() for p in module.parameters())
+
+
+BEFORE, AFTER = [True] * 5 + [False], [True] * 5 + [False]
+
+
+@pytest.mark.parametrize("repr", ["esc", "fp", "ap"])
+def test_the_papers_networks(repr):
+    """Eleven hidden layers with 101 linear units in the middle, where x_else joins."""
+    size = 5
+    policy = Policy(repr, size)
+    inputs = 5 if repr == "esc" else 5 * size
+    first = chain([inputs, *[256] * 5, 101], BEFORE)
+    second = chain([111, *[256] * 5, 1], AFTER)
+    assert parameters(policy) == parameters(first) + parameters(second)
+    first.load_state_dict(renamed(policy.encoder.state_dict(), first))
+    head = {key: value for key, value in policy.state_dict().items() if "encoder" not in key}
+    second.load_state_dict(renamed(head, second))
+    sets = Samples("test", 0, size).draw(torch.arange(64))
+    x = sets.vehicles
+    if repr == "esc":
+        code = first(x).sum(dim=1)
+    else:
+        order = x[:, :, 0].argsort(dim=1) if repr == "fp" else torch.arange(5).expand(64, 5)
+        code = first(x.gather(1, order[:, :, None].expand_as(x)).flatten(1))
+    expected = second(torch.cat([code, sets.ego], dim=1)).squeeze(1)
+    torch.testing.assert_close(policy(sets), expected, rtol=1e-4, atol=1e-5)
+
+
+def renamed(state, module):
+    return dict(zip(module.state_dict(), state.values(), strict=True))
+
+
+@pytest.mark.parametrize("repr", REPRESENTATIONS)
+def test_a_few_updates_lessen_the_error(repr):
+    """Of the same policy: a longer training starts as a shorter one does."""
+    (few,), (more,) = (train(Cell(1, 5, repr, 0), updates, "cpu") for updates in (1, 8))
+    assert (few.update, more.update) == (1, 8)
+    assert more.errors[5] < few.errors[5]
+
+
+def test_variable_sizes_are_tested_on_four():
+    ticks = []
+    points = train(Cell(2, None, "esc", 1), 3, "cpu", ticks.append)
+    assert ticks == [1, 2, 3]
+    assert list(points[-1].errors) == [5, 10, 15, 20]
+
+
+def test_the_same_seed_gives_the_same_errors():
+    first, second, other = (train(Cell(3, 5, "fp", seed), 5, "cpu") for seed in (0, 0, 1))
+    assert first == second
+    assert first != other
+
+
+def test_padding_is_not_seen():
+    sets = Samples("test", 0, None).draw(torch.arange(32))
+    policy = Policy("esc", None)
+    filled = Sets(torch.where(sets.mask[:, :, None], sets.vehicles, 7.0), sets.mask, sets.ego)
+    assert torch.equal(policy(sets), policy(filled))
+
+
+def test_no_warnings_at_the_papers_code_dimension():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Policy("esc", 20)
