@@ -74,7 +74,7 @@ def vehicles(code: ArrayLike, max_vehicles: int) -> NDArray[np.float64]:
     # sum_i a_i^k y_i, k = 0..M-1, is a linear system in the y_i.
     powers = first ** np.arange(count)[:, None]
     others = np.linalg.solve(powers, blocks[1:, :count].T)
-    return np.column_stack([first, others])
+    return np.column_stack([first, others]).astype(np.float64)
 
 
 def _from_power_sums(sums: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -84,7 +84,8 @@ def _from_power_sums(sums: NDArray[np.float64]) -> NDArray[np.float64]:
         signs = (-1.0) ** np.arange(k)
         elementary[k] = (signs * elementary[k - 1 :: -1][:k] * sums[:k]).sum() / k
     signs = (-1.0) ** np.arange(len(elementary))
-    return np.sort(np.roots(signs * elementary).real)  # equal numbers come out as complex pairs
+    roots = np.roots(signs * elementary)
+    return np.sort(roots.real).astype(np.float64)  # equal numbers come out as complex pairs
 
 
 def _checked_set(vehicles: ArrayLike, max_vehicles: int) -> NDArray[np.float64]:

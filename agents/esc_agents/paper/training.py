@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -54,7 +55,9 @@ class Policy(nn.Module):
     def __init__(self, repr: str, size: int | None) -> None:
         super().__init__()
         encoder = representation(repr)
-        settings = {"sort": "lexicographic"} if issubclass(encoder, FPEncoder) else {}
+        settings: dict[str, Any] = (
+            {"sort": "lexicographic"} if issubclass(encoder, FPEncoder) else {}
+        )
         if issubclass(encoder, APEncoder):
             settings |= {"low": [LOW] * VEHICLE_DIM, "high": [HIGH] * VEHICLE_DIM}
             rows = size or MAX_VEHICLES
