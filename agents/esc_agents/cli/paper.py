@@ -14,7 +14,7 @@ from esc_agents.cli import guarded, parse
 from esc_agents.errors import UserError
 
 PROGRAM = "esc-paper"
-MAX_VEHICLES = 20
+MAX_VEHICLES = 20  # as in paper.targets, which imports torch
 QUICK: dict[str, Any] = {"benchmarks": (1, 3), "cases": ("5",), "seeds": 1, "updates": 1000}
 
 Many = tyro.conf.arg(metavar="VALUE [VALUE ...]")
@@ -103,6 +103,11 @@ def _run(arguments: RunArguments) -> int:
 
     if arguments.device == "cuda" and not torch.cuda.is_available():
         raise UserError("--device cuda: torch finds no GPU here; leave it out, or give cpu")
+    defaults = RunArguments()
+    if arguments.quick and any(getattr(arguments, n) != getattr(defaults, n) for n in QUICK):
+        raise UserError(
+            f"--quick sets {', '.join('--' + name for name in QUICK)}; give one or other"
+        )
     chosen = dict(arguments) | (QUICK if arguments.quick else {})
     for name in chosen["repr"]:
         try:

@@ -29,8 +29,8 @@ CSV_COLUMNS = (
 NOTE = """\
 Mean squared errors on 2048 test sets after training, mean ± one standard deviation over seeds; the
 best of a row, ours and the paper's apart, in bold. The paper calls its numbers RMSE, but they are
-mean squared errors: as roots, those of benchmarks 1 and 6 would lie above the standard deviation of
-the targets, where no trained policy ends. Square roots of ours are in `table.csv`.
+mean squared errors: as roots, those of FP and AP at M = 20 in benchmarks 1 and 6 would be worse
+than predicting the mean. Square roots of ours are in `table.csv`.
 """
 
 

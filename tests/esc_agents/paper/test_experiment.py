@@ -84,6 +84,7 @@ def test_killed_and_started_again(tmp_path):
         (["run", "--cases", "0"], "expected 1 to 20 vehicles, or any; got '0'"),
         (["run", "--cases", "21"], "expected 1 to 20 vehicles, or any; got '21'"),
         (["run", "--cases", "all"], "got 'all'"),
+        (["run", "--quick", "--seeds", "3"], "--quick sets --benchmarks"),
         (["run", "--repr", "esk"], "did you mean 'esc'?"),
         (["run", "--repr"], "at least one"),
         (["run", "--seeds", "0"], "greater than 0"),
