@@ -154,11 +154,11 @@ def train(config: TrainConfig, *, resume: Path | None = None) -> bool:
     resume: an existing run directory to continue; its weights and step count go on, environments
     and random generators start afresh.
     """
-    probe = check(config)
     directory = resume or config.run_dir or run.default_run_dir(config)
-    model = _load(config, directory) if resume else None
-    if model is None:
+    if not resume:
         run.check_free(directory)
+    probe = check(config)
+    model = _load(config, directory) if resume else None
     envs = vectorise(config, config.n_envs)
     judges = vectorise(config, min(config.n_envs, config.evaluation.episodes), evaluation=True)
     try:
