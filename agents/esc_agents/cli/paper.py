@@ -29,6 +29,9 @@ class _Arguments(BaseModel):
 class RunArguments(_Arguments):
     """Train the cells of the paper's table. Finished cells are kept: start again to go on."""
 
+    study: Literal["table", "code-dim", "truncation", "overtaking"] = "table"
+    """The paper's table, or an ESC whose d3 is below, at and above the rule of Theorem 1, or an FP
+    that takes fewer vehicles than there are, or two vehicles that change places in FP's order."""
     benchmarks: Annotated[tuple[Annotated[int, Field(ge=1, le=6)], ...], Many] = (1, 2, 3, 4, 5, 6)
     """Target policies, 1 to 6."""
     cases: Annotated[tuple[str, ...], Many] = ("5", "10", "15", "20", "any")
@@ -98,7 +101,7 @@ def _summary() -> str:
 def _run(arguments: RunArguments) -> int:
     import torch
 
-    from esc_agents.paper.experiment import grid, run
+    from esc_agents.paper.experiment import grid, run, study
     from esc_gym.encoders import representation
 
     if arguments.device == "cuda" and not torch.cuda.is_available():
@@ -108,6 +111,14 @@ def _run(arguments: RunArguments) -> int:
         raise UserError(
             f"--quick sets {', '.join('--' + name for name in QUICK)}; give one or other"
         )
+    fixed = ("cases", "repr", "quick")
+    if arguments.study != "table" and any(
+        getattr(arguments, n) != getattr(defaults, n) for n in fixed
+    ):
+        raise UserError(
+            f"--study {arguments.study} sets {', '.join('--' + name for name in fixed)}; "
+            "leave them out"
+        )
     chosen = dict(arguments) | (QUICK if arguments.quick else {})
     for name in chosen["repr"]:
         try:
@@ -115,7 +126,11 @@ def _run(arguments: RunArguments) -> int:
         except ValueError as error:
             raise UserError(f"--repr: {error}") from error
     sizes = [None if case == "any" else int(case) for case in chosen["cases"]]
-    cells = grid(chosen["benchmarks"], sizes, chosen["repr"], range(chosen["seeds"]))
+    seeds = range(chosen["seeds"])
+    if arguments.study == "table":
+        cells = grid(chosen["benchmarks"], sizes, chosen["repr"], seeds)
+    else:
+        cells = study(arguments.study, chosen["benchmarks"], seeds)
     run(cells, chosen["updates"], chosen["device"], chosen["workers"], chosen["out"])
     return 0
 

@@ -19,10 +19,24 @@ from esc_agents.errors import UserError
 from esc_agents.paper import results
 from esc_agents.paper.results import Damaged, Result
 from esc_agents.paper.targets import MAX_VEHICLES
-from esc_agents.paper.training import Cell, train
+from esc_agents.paper.training import CODE_DIM, Cell, overtaking, train
 from esc_agents.run import versions
 from esc_agents.train import say
 from esc_gym.encoders import APEncoder, representation
+
+STUDIES: dict[str, list[dict[str, Any]]] = {
+    "code-dim": [
+        {"size": None, "repr": "esc", "code_dim": code_dim}
+        for code_dim in (1, 5, 26, 51, CODE_DIM, 202)
+    ],
+    "truncation": [
+        *({"size": MAX_VEHICLES, "repr": "fp", "slots": slots} for slots in (1, 5, 10, 15)),
+        *({"size": MAX_VEHICLES, "repr": repr} for repr in ("fp", "esc")),
+    ],
+    "overtaking": [{"size": 2, "repr": repr} for repr in ("fp", "esc")],
+}
+"""Beyond the table: what a smaller or larger d3 does, what FP loses where it takes only the Z
+nearest of twenty vehicles, and how policies answer while two vehicles change places."""
 
 SPAWN = get_context("spawn")  # torch's threads do not survive a fork
 _done: Any = None  # of a worker: work that all of them have done, shared
@@ -41,6 +55,14 @@ def grid(
         Cell(benchmark, size, repr, seed)
         for seed, benchmark, size, repr in product(seeds, benchmarks, sizes, reprs)
         if size is not None or repr not in one_size
+    ]
+
+
+def study(name: str, benchmarks: Sequence[int], seeds: Sequence[int]) -> list[Cell]:
+    """The cells of one of the ``STUDIES``, all of them for one seed after the other."""
+    return [
+        Cell(benchmark, seed=seed, **settings)
+        for seed, benchmark, settings in product(seeds, benchmarks, STUDIES[name])
     ]
 
 
@@ -100,9 +122,13 @@ def train_cell(cell: Cell, updates: int, device: str, out: Path) -> Result:
             with _done.get_lock():
                 _done.value += work
 
-    points = train(cell, updates, device, tick)
+    policy, points = train(cell, updates, device, tick)
     seconds = time.perf_counter() - start
-    result = Result(cell, updates, points, seconds, versions() | {"device": device})
+    outputs = None
+    if cell.size == 2:
+        with torch.no_grad():
+            outputs = policy(overtaking(device)[1]).tolist()
+    result = Result(cell, updates, points, seconds, versions() | {"device": device}, outputs)
     results.write(out, result)
     return result
 
@@ -111,9 +137,12 @@ def describe(result: Result) -> str:
     """One line about a finished cell."""
     cell, last = result.cell, result.points[-1].errors
     size = "1..20" if cell.size is None else cell.size
+    options = f", d3={cell.code_dim}" if cell.code_dim != CODE_DIM else ""
+    options += f", Z={cell.slots}" if cell.slots else ""
     errors = ", ".join(f"{error:.4g} at M={m}" for m, error in last.items())
     return (
-        f"benchmark {cell.benchmark}, M={size}, {cell.repr}, seed {cell.seed}: MSE {errors} "
+        f"benchmark {cell.benchmark}, M={size}, {cell.repr}{options}, seed {cell.seed}: "
+        f"MSE {errors} "
         f"({result.seconds:.0f} s)"
     )
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from esc_agents.paper.training import Cell, Point
+from esc_agents.paper.training import CODE_DIM, Cell, Point
 from esc_agents.run import write_text
 
 SCHEMA = 1
@@ -23,6 +23,7 @@ class Result:
     """A trained cell. points: its errors during training, the last ones after ``updates``.
 
     seconds: wall time of the training. made_with: device, versions and commit.
+    overtaking: where M = 2, the policy's output on the sets of ``training.overtaking``.
     """
 
     cell: Cell
@@ -30,12 +31,18 @@ class Result:
     points: list[Point]
     seconds: float
     made_with: dict[str, str]
+    overtaking: list[float] | None = None
 
 
 def path_of(folder: Path, cell: Cell) -> Path:
-    """b<benchmark>-<M or any>-<representation>-s<seed>.json"""
-    size = "any" if cell.size is None else cell.size
-    return folder / f"b{cell.benchmark}-{size}-{cell.repr.replace(':', '.')}-s{cell.seed}.json"
+    """b<benchmark>-<M or any>-<representation>[-d<d3>][-z<Z>]-s<seed>.json"""
+    parts = [f"b{cell.benchmark}", "any" if cell.size is None else str(cell.size)]
+    parts.append(cell.repr.replace(":", "."))
+    if cell.code_dim != CODE_DIM:
+        parts.append(f"d{cell.code_dim}")
+    if cell.slots is not None:
+        parts.append(f"z{cell.slots}")
+    return folder / f"{'-'.join(parts)}-s{cell.seed}.json"
 
 
 def write(folder: Path, result: Result) -> None:

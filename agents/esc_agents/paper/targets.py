@@ -6,10 +6,11 @@ Shapes: B sets of at most N vehicles, d1 = 5, d2 = 10. A target is a number for 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 from math import inf
+from operator import mul
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
 VEHICLE_DIM, EGO_DIM, MAX_VEHICLES = 5, 10, 20
@@ -38,7 +39,8 @@ class Sets(NamedTuple):
 
 def norm(x: Tensor, p: int) -> Tensor:
     """p-norm over the last dimension."""
-    return torch.linalg.vector_norm(x, p, dim=-1)
+    # Not torch.linalg.vector_norm: on a CPU that takes ten times as long over five elements.
+    return reduce(mul, [x.abs()] * p).sum(dim=-1).pow(1 / p)
 
 
 def _target_1(s: Sets) -> Tensor:

@@ -5,6 +5,7 @@ Shapes: B = 512 sets a batch; d1 = 5, d2 = 10, d3 = 101.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -33,12 +34,19 @@ TEST_SIZES = (5, 10, 15, 20)
 
 @dataclass(frozen=True, order=True)
 class Cell:
-    """One training. size: M of all its sets, None where it is uniform in 1..20."""
+    """One training.
+
+    size: M of all its sets, None where it is uniform in 1..20.
+    code_dim: d3, the paper's unless it is studied.
+    slots: Z, the number of vehicles that FP and AP take, all unless it is studied.
+    """
 
     benchmark: int
     size: int | None
     repr: str
     seed: int
+    code_dim: int = CODE_DIM
+    slots: int | None = None
 
     @property
     def test_sizes(self) -> tuple[int, ...]:
@@ -52,22 +60,23 @@ class Policy(nn.Module):
     For FP and AP these are the paper's eleven layers with a linear one in the middle.
     """
 
-    def __init__(self, repr: str, size: int | None) -> None:
+    def __init__(self, cell: Cell) -> None:
         super().__init__()
-        encoder = representation(repr)
-        settings: dict[str, Any] = (
-            {"sort": "lexicographic"} if issubclass(encoder, FPEncoder) else {}
-        )
+        encoder = representation(cell.repr)
+        settings: dict[str, Any] = {"max_vehicles": MAX_VEHICLES}
         if issubclass(encoder, APEncoder):
+            settings = {"max_vehicles": cell.size or MAX_VEHICLES, "slots": cell.slots}
             settings |= {"low": [LOW] * VEHICLE_DIM, "high": [HIGH] * VEHICLE_DIM}
-            rows = size or MAX_VEHICLES
-        else:
-            rows = MAX_VEHICLES
-        self.encoder = encoder(
-            vehicle_dim=VEHICLE_DIM, ego_dim=EGO_DIM, max_vehicles=rows, hidden=HIDDEN,
-            code_dim=CODE_DIM, **settings,
-        )  # fmt: skip
-        self.layers = hidden_layers(CODE_DIM + EGO_DIM, HIDDEN)
+        if issubclass(encoder, FPEncoder):
+            settings["sort"] = "lexicographic"
+        with warnings.catch_warnings():
+            # A d3 below the rule of Theorem 1 is what is studied then.
+            warnings.filterwarnings("ignore", "code_dim=", UserWarning)
+            self.encoder = encoder(
+                vehicle_dim=VEHICLE_DIM, ego_dim=EGO_DIM, hidden=HIDDEN, code_dim=cell.code_dim,
+                **settings,
+            )  # fmt: skip
+        self.layers = hidden_layers(cell.code_dim + EGO_DIM, HIDDEN)
         self.output = nn.Linear(HIDDEN[-1], 1)
 
     def forward(self, sets: Sets) -> Tensor:
@@ -86,10 +95,13 @@ class Point:
 
 def train(
     cell: Cell, updates: int, device: str, tick: Callable[[int], None] = lambda update: None
-) -> list[Point]:
-    """Train a cell; its errors every 100 updates and at the end. ``tick`` hears of every update."""
+) -> tuple[Policy, list[Point]]:
+    """Train a cell: its policy, and its errors every 100 updates and at the end.
+
+    ``tick`` hears of every update.
+    """
     torch.manual_seed(cell.seed)
-    policy = Policy(cell.repr, cell.size).to(device)
+    policy = Policy(cell).to(device)
     fused = torch.optim.Adam(policy.parameters(), lr=LEARNING_RATE, fused=True)
     target, samples = TARGETS[cell.benchmark], Samples("train", cell.seed, cell.size)
     tests = [(size, Samples("test", cell.seed, size).all(device)) for size in cell.test_sizes]
@@ -104,7 +116,20 @@ def train(
         if update % EVALUATE_EVERY == 0 or update == updates:
             errors = {size: mean_squared_error(policy, target, sets) for size, sets in tests}
             points.append(Point(update, errors))
-    return points
+    return policy, points
+
+
+def overtaking(device: str = "cpu") -> tuple[Tensor, Sets]:
+    """The paper's example of two vehicles that change places in an order: {[j, 2], [1, 5]}.
+
+    The other features, and the ego's, are 0. Returns the j's and as many sets.
+    """
+    j = torch.linspace(-3, 5, 401)
+    vehicles = torch.zeros(len(j), 2, VEHICLE_DIM)
+    vehicles[:, 0, 0], vehicles[:, 0, 1] = j, 2
+    vehicles[:, 1, 0], vehicles[:, 1, 1] = 1, 5
+    mask, ego = torch.ones(len(j), 2, dtype=torch.bool), torch.zeros(len(j), EGO_DIM)
+    return j, Sets(vehicles.to(device), mask.to(device), ego.to(device))
 
 
 @torch.no_grad()

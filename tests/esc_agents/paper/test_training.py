@@ -34,7 +34,7 @@ BEFORE, AFTER = [True] * 5 + [False], [True] * 5 + [False]
 def test_the_papers_networks(repr):
     """Eleven hidden layers with 101 linear units in the middle, where x_else joins."""
     size = 5
-    policy = Policy(repr, size)
+    policy = Policy(Cell(1, size, repr, 0))
     inputs = 5 if repr == "esc" else 5 * size
     first = chain([inputs, *[256] * 5, 101], BEFORE)
     second = chain([111, *[256] * 5, 1], AFTER)
@@ -60,27 +60,27 @@ def renamed(state, module):
 @pytest.mark.parametrize("repr", REPRESENTATIONS)
 def test_a_few_updates_lessen_the_error(repr):
     """Of the same policy: a longer training starts as a shorter one does."""
-    (few,), (more,) = (train(Cell(1, 5, repr, 0), updates, "cpu") for updates in (1, 8))
+    (few,), (more,) = (train(Cell(1, 5, repr, 0), updates, "cpu")[1] for updates in (1, 8))
     assert (few.update, more.update) == (1, 8)
     assert more.errors[5] < few.errors[5]
 
 
 def test_variable_sizes_are_tested_on_four():
     ticks = []
-    points = train(Cell(2, None, "esc", 1), 3, "cpu", ticks.append)
+    _, points = train(Cell(2, None, "esc", 1), 3, "cpu", ticks.append)
     assert ticks == [1, 2, 3]
     assert list(points[-1].errors) == [5, 10, 15, 20]
 
 
 def test_the_same_seed_gives_the_same_errors():
-    first, second, other = (train(Cell(3, 5, "fp", seed), 5, "cpu") for seed in (0, 0, 1))
+    first, second, other = (train(Cell(3, 5, "fp", seed), 5, "cpu")[1] for seed in (0, 0, 1))
     assert first == second
     assert first != other
 
 
 def test_padding_is_not_seen():
     sets = Samples("test", 0, None).draw(torch.arange(32))
-    policy = Policy("esc", None)
+    policy = Policy(Cell(1, None, "esc", 0))
     filled = Sets(torch.where(sets.mask[:, :, None], sets.vehicles, 7.0), sets.mask, sets.ego)
     assert torch.equal(policy(sets), policy(filled))
 
@@ -88,4 +88,4 @@ def test_padding_is_not_seen():
 def test_no_warnings_at_the_papers_code_dimension():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        Policy("esc", 20)
+        Policy(Cell(1, 20, "esc", 0))
