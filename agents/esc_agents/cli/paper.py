@@ -68,7 +68,7 @@ class RunArguments(_Arguments):
 
 
 class ReportArguments(_Arguments):
-    """Write the table of finished cells beside the paper's: table.md and table.csv."""
+    """Write what finished cells show beside the paper's: report.html, .md, table.csv, pictures."""
 
     out: Path = Path("runs/paper")
     """Directory of the results."""
@@ -131,7 +131,8 @@ def _run(arguments: RunArguments) -> int:
         cells = grid(chosen["benchmarks"], sizes, chosen["repr"], seeds)
     else:
         cells = study(arguments.study, chosen["benchmarks"], seeds)
-    run(cells, chosen["updates"], chosen["device"], chosen["workers"], chosen["out"])
+    folder = chosen["out"] / "cells"
+    run(cells, chosen["updates"], chosen["device"], chosen["workers"], folder)
     return 0
 
 

@@ -1,188 +1,178 @@
-"""The table: our errors beside the paper's, and what ESC saves."""
+"""The report: our table beside the paper's, curves, bars, and what the studies show."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
+from rich import table as rich
 
+from esc_agents.document import Block, Heading, Picture, Rows, Text, write
 from esc_agents.errors import UserError
+from esc_agents.paper import figures
 from esc_agents.paper.results import Damaged, Result, read_file
+from esc_agents.paper.table import (
+    Table,
+    as_csv,
+    columns_of,
+    entries,
+    published,
+    roots,
+    rows,
+    savings,
+    title_of,
+)
+from esc_agents.paper.targets import MAX_VEHICLES
+from esc_agents.paper.training import CODE_DIM, overtaking
 from esc_agents.report import show
 from esc_agents.run import write_text
 from esc_agents.train import say
 
-Key = tuple[int, int, str, str]
-"""(benchmark, M of the test sets, representation, "fixed" or "any" M in training)."""
-
-CSV_COLUMNS = (
-    "benchmark", "vehicles", "repr", "trained", "mse", "mse_std", "rmse", "seeds", "paper_mse",
-    "paper_std",
-)  # fmt: skip
+TITLE = "The paper's experiment, ours beside the paper's"
 NOTE = """\
-Mean squared errors on 2048 test sets after training, mean ± one standard deviation over seeds; the
-best of a row, ours and the paper's apart, in bold. The paper calls its numbers RMSE, but they are
-mean squared errors: as roots, those of FP and AP at M = 20 in benchmarks 1 and 6 would be worse
-than predicting the mean. Square roots of ours are in `table.csv`.
-"""
+Mean squared errors on 2048 test sets after training, mean ± one standard deviation over seeds; \
+the best of a row, ours and the paper's apart, in bold. "Any M" was trained on sets of 1 to 20 \
+vehicles, the others on sets of the row's size."""
+WHY_MSE = """\
+The paper calls its numbers root mean squared errors. They are mean squared errors: as roots, \
+those of FP and AP at M = 20 in benchmarks 1 and 6 would be worse than predicting the mean. So \
+mean squared errors are compared above; these are the roots of both:"""
 
 
-@dataclass(frozen=True)
-class Entry:
-    """An error of the table. seeds: trainings behind it, 0 where the paper does not say."""
-
-    mean: float
-    std: float
-    seeds: int = 0
-
-    def __str__(self) -> str:
-        return f"{self.mean:.3g}" + (f" ± {self.std:.2g}" if self.seeds != 1 else "")
+_BOLD, _DEVIATION = re.compile(r"\*\*(.*)\*\*"), re.compile(r"±[^*]*")
 
 
-@cache
-def published() -> Mapping[Key, Entry]:
-    """The paper's table."""
-    text = (files("esc_agents.paper") / "published.csv").read_text(encoding="utf-8")
-    return {
-        (int(row["benchmark"]), int(row["vehicles"]), row["repr"], row["trained"]): Entry(
-            float(row["mean"]), float(row["std"])
-        )
-        for row in csv.DictReader(io.StringIO(text))
-    }
-
-
-def load(out: Path) -> list[Result]:
+def load(folder: Path) -> list[Result]:
     """All whole results in a directory; damaged files are named and left out."""
     found = []
-    for path in sorted(out.glob("b*.json")):
+    for path in sorted(folder.glob("b*.json")):
         try:
             found.append(read_file(path))
         except Damaged as damaged:
             say(f"{damaged}; it is left out, and esc-paper run trains it again")
     if not found:
-        raise UserError(f"--out {out}: expected results of esc-paper run in it, found none")
-    return found
-
-
-def entries(results: Sequence[Result]) -> dict[Key, Entry]:
-    """Mean and standard deviation over seeds of the last errors."""
-    errors: dict[Key, list[float]] = {}
-    for result in results:
-        cell, trained = result.cell, "any" if result.cell.size is None else "fixed"
-        for size, error in result.points[-1].errors.items():
-            errors.setdefault((cell.benchmark, size, cell.repr, trained), []).append(error)
-    return {
-        key: Entry(float(np.mean(found)), float(np.std(found, ddof=len(found) > 1)), len(found))
-        for key, found in errors.items()
-    }
-
-
-def reduction(table: Mapping[Key, Entry], ours: tuple[str, str], other: tuple[str, str]) -> float:
-    """Mean of 1 - ours/other over the cells that have both, as the paper averages; NaN if none."""
-    ratios = [
-        1 - entry.mean / table[benchmark, size, *other].mean
-        for (benchmark, size, *column), entry in table.items()
-        if tuple(column) == ours and (benchmark, size, *other) in table
-    ]
-    return float(np.mean(ratios)) if ratios else float("nan")
-
-
-def columns_of(table: Mapping[Key, Entry]) -> list[tuple[str, str]]:
-    """(representation, trained) of the table's columns, the paper's ones first."""
-    first = dict.fromkeys((repr, trained) for _, _, repr, trained in published())
-    return [*first, *sorted({key[2:] for key in table} - set(first))]
-
-
-def rows(table: Mapping[Key, Entry]) -> Iterator[list[str]]:
-    """The table as text: a header, then a row for each benchmark and size."""
-    columns = [column for column in columns_of(table) if any(k[2:] == column for k in table)]
-    titles = [f"{repr} (M {'in 1..20' if t == 'any' else 'fixed'})" for repr, t in columns]
-    yield ["benchmark", "M", *titles, *(f"paper: {title}" for title in titles)]
-    for benchmark, size in sorted({key[:2] for key in table}):
-        both = [
-            [source.get((benchmark, size, *column)) for column in columns]
-            for source in (table, published())
-        ]
-        yield [str(benchmark), str(size), *(cell for side in both for cell in _best_in_bold(side))]
-
-
-def _best_in_bold(side: Sequence[Entry | None]) -> list[str]:
-    least = min((entry.mean for entry in side if entry), default=None)
-    return [
-        "" if entry is None else f"**{entry}**" if entry.mean == least else str(entry)
-        for entry in side
-    ]
-
-
-def savings(table: Mapping[Key, Entry]) -> list[list[str]]:
-    """Mean reductions of the error, ours and the paper's, over the rows that we have."""
-    pairs = [
-        ("ESC (fixed M) against FP", ("esc", "fixed"), ("fp", "fixed")),
-        ("ESC (fixed M) against AP", ("esc", "fixed"), ("ap", "fixed")),
-        ("FP against AP", ("fp", "fixed"), ("ap", "fixed")),
-        ("ESC (M in 1..20) against FP", ("esc", "any"), ("fp", "fixed")),
-    ]
-    present = {key[:2] for key in table}
-    paper = {key: entry for key, entry in published().items() if key[:2] in present}
-    found = [["mean reduction of the error", "ours", "paper"]]
-    for title, ours, other in pairs:
-        sides = [reduction(source, ours, other) for source in (table, paper)]
-        found.append([title, *("" if np.isnan(side) else f"{side:.1%}" for side in sides)])
+        raise UserError(f"expected results of esc-paper run in {folder}, found none")
     return found
 
 
 def report(out: Path) -> None:
-    """Print the table of the results in ``out``; write table.md and table.csv there."""
-    results = load(out)
+    """Print the table of the cells in ``out``; write the report and its pictures there."""
+    results = load(out / "cells")
     table = entries(results)
-    tables = list(rows(table)), savings(table)
-    for content in tables:
-        show(_terminal(content))
-    made_with = sorted({", ".join(f"{k} {v}" for k, v in r.made_with.items()) for r in results})
-    updates = sorted({result.updates for result in results})
-    text = [
-        "# The paper's experiment\n", NOTE, _markdown(tables[0]), "", _markdown(tables[1]), "",
-        f"Updates: {', '.join(map(str, updates))}; seeds: {_seeds(table)}. Made with",
-        *(f"- {line}" for line in made_with),
+    blocks = [*summary(results, table), *studies(results), *provenance(results)]
+    for content in (list(rows(table, published())), savings(table)):
+        if len(content) > 1:
+            show(_terminal(content))
+    written = write(out, "report", TITLE, blocks)
+    write_text(out / "table.csv", as_csv(results))
+    say(f"Written into {out}: {', '.join(path.name for path in written)}, table.csv")
+
+
+def summary(results: Sequence[Result], table: Table) -> Iterator[Block]:
+    """The table, what ESC saves, bars and curves."""
+    if not table:
+        return
+    yield Text(NOTE)
+    yield Rows(list(rows(table, published())))
+    if len(saved := savings(table)) > 1:
+        yield Rows(saved)
+    yield Text(WHY_MSE)
+    yield Rows(list(rows(entries(results, 0.5), roots(published()))))
+    yield Heading("Final errors")
+    names = ", ".join(title_of(column) for column in columns_of(table))
+    yield Picture("bars", figures.bars(table), f"Final errors of {names}, by benchmark and M")
+    yield Heading("Training curves")
+    yield Text("Mean squared error on the test sets; bands are 95 % intervals over seeds.")
+    for benchmark in sorted({key[0] for key in table}):
+        alt = f"Benchmark {benchmark}: error over updates of {names}"
+        yield Picture(f"curves-{benchmark}", figures.curves(results, benchmark), alt)
+
+
+def studies(results: Sequence[Result]) -> Iterator[Block]:
+    """What there are cells of: d3, truncation, two vehicles that change places."""
+    for benchmark in sorted({r.cell.benchmark for r in results}):
+        found = [r for r in results if r.cell.benchmark == benchmark]
+        yield from _places(benchmark, [r for r in found if r.overtaking])
+        yield from _truncation(benchmark, found)
+        yield from _code_dims(benchmark, found)
+
+
+def _places(benchmark: int, found: Sequence[Result]) -> Iterator[Block]:
+    if not found:
+        return
+    j, _ = overtaking()
+    yield Heading(f"Two vehicles change places (benchmark {benchmark})")
+    jumps = []
+    for name in dict.fromkeys(r.cell.repr for r in found):
+        steps = [
+            np.abs(np.diff(np.array(r.overtaking))).max() for r in found if r.cell.repr == name
+        ]
+        jumps.append(f"{np.mean(steps):.2g} ({title_of((name, 'fixed'))})")
+    yield Text(
+        "The paper's example: {[j, 2], [1, 5]}, all other features 0. FP sorts by the first "
+        "feature, so at j = 1 its two inputs change places. Policies trained on two vehicles; the "
+        f"largest change of the output while j grows by {j[1] - j[0]:.2f}: {', '.join(jumps)}."
+    )
+    figure = figures.change_of_places(found)
+    yield Picture(f"places-{benchmark}", figure, "Outputs over j: FP jumps at j = 1, ESC does not")
+
+
+def _truncation(benchmark: int, found: Sequence[Result]) -> Iterator[Block]:
+    if not any(r.cell.slots for r in found):
+        return
+    yield Heading(f"More vehicles than places (benchmark {benchmark})")
+    yield Text(
+        f"Of M = {MAX_VEHICLES} vehicles FP takes the Z nearest by the first two features. The "
+        "target depends on all of them: what is cut off is lost, whatever is trained."
+    )
+    chosen = [
+        r for r in found
+        if r.cell.size == MAX_VEHICLES and r.cell.repr in ("fp", "esc")
+        and r.cell.code_dim == CODE_DIM
     ]  # fmt: skip
-    write_text(out / "table.md", "\n".join(text) + "\n")
-    write_text(out / "table.csv", _csv(table))
-    say(f"Written: {out / 'table.md'}, {out / 'table.csv'}")
+    alt = "Error of FP over Z, beside that of ESC"
+    yield Picture(f"truncation-{benchmark}", figures.truncation(chosen), alt)
 
 
-def _seeds(table: Mapping[Key, Entry]) -> str:
-    counts = sorted({entry.seeds for entry in table.values()})
-    return f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+def _code_dims(benchmark: int, found: Sequence[Result]) -> Iterator[Block]:
+    if all(r.cell.code_dim == CODE_DIM for r in found):
+        return
+    chosen = [r for r in found if r.cell.size is None and r.cell.repr == "esc"]
+    yield Heading(f"How large the code has to be (benchmark {benchmark})")
+    yield Text(
+        "ESC trained on sets of 1 to 20 vehicles, with codes below, at and above the "
+        "N·d1 + 1 numbers from which on Theorem 1 promises that no two sets share a code."
+    )
+    best = {d: np.mean([list(r.points[-1].errors.values()) for r in chosen
+                        if r.cell.code_dim == d])
+            for d in sorted({r.cell.code_dim for r in chosen})}  # fmt: skip
+    yield Rows([["d3", "mean squared error over M = 5, 10, 15, 20"],
+                *([str(d), f"{error:.3g}"] for d, error in best.items())])  # fmt: skip
+    yield Picture(f"code-dim-{benchmark}", figures.code_dims(chosen), "Error of ESC over d3")
 
 
-def _csv(table: Mapping[Key, Entry]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    for key in sorted(table):
-        ours, theirs = table[key], published().get(key)
-        paper = (theirs.mean, theirs.std) if theirs else ("", "")
-        writer.writerow([*key, ours.mean, ours.std, ours.mean**0.5, ours.seeds, *paper])
-    return text.getvalue()
+def provenance(results: Sequence[Result]) -> Iterator[Block]:
+    """What the numbers were made with."""
+    yield Heading("How this was made")
+    updates = ", ".join(str(n) for n in sorted({r.updates for r in results}))
+    seeds = ", ".join(str(n) for n in sorted({r.cell.seed for r in results}))
+    hours = sum(r.seconds for r in results) / 3600
+    yield Text(
+        f"`esc-paper run` and `esc-paper report`: {len(results)} trainings of {updates} updates, "
+        f"seeds {seeds}, {hours:.1f} hours of training in all. Every training is a file in "
+        "`cells`; the numbers are in [table.csv](table.csv). Made with:"
+    )
+    made_with = {", ".join(f"{k} {v}" for k, v in r.made_with.items()) for r in results}
+    yield Text("\n".join(sorted(made_with)), bullets=True)
 
 
-def _markdown(content: Sequence[Sequence[str]]) -> str:
-    header, *body = content
-    rule = ["---", *["---:"] * (len(header) - 1)]
-    return "\n".join(f"| {' | '.join(row)} |" for row in [header, rule, *body])
-
-
-def _terminal(content: Sequence[Sequence[str]]) -> Table:
-    table = Table(header_style="bold")
+def _terminal(content: Sequence[Sequence[str]]) -> rich.Table:
+    """Without the deviations, for which there is no room."""
+    table = rich.Table(header_style="bold")
     for index, name in enumerate(content[0]):
         table.add_column(name, justify="right" if index else "left")
     for row in content[1:]:
-        table.add_row(*(cell.replace("**", "") for cell in row))
+        table.add_row(*(_BOLD.sub(r"[bold]\1[/]", _DEVIATION.sub("", cell)) for cell in row))
     return table

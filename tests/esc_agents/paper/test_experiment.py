@@ -38,8 +38,8 @@ def test_finished_cells_are_kept_and_damaged_ones_trained_again(tmp_path, capsys
     assert cli.command(arguments) == 0
     assert "4 cells, 0 of them finished" in capsys.readouterr().out
     cells = grid([1], [5], ["fp", "esc"], range(2))
-    first = [read(tmp_path, cell) for cell in cells]
-    kept, broken = path_of(tmp_path, cells[0]), path_of(tmp_path, cells[3])
+    first = [read(tmp_path / "cells", cell) for cell in cells]
+    kept, broken = path_of(tmp_path / "cells", cells[0]), path_of(tmp_path / "cells", cells[3])
     before = kept.stat().st_mtime_ns
     broken.write_bytes(broken.read_bytes()[:50])
     assert cli.command(arguments) == 0
@@ -48,10 +48,10 @@ def test_finished_cells_are_kept_and_damaged_ones_trained_again(tmp_path, capsys
     assert f"{broken}: not a whole result" in printed
     assert "it is trained again" in printed
     assert kept.stat().st_mtime_ns == before
-    again = [read(tmp_path, cell) for cell in cells]
+    again = [read(tmp_path / "cells", cell) for cell in cells]
     assert [result.points for result in again] == [result.points for result in first]
     assert cli.command(["report", "--out", str(tmp_path)]) == 0
-    assert "| 1 | 5 |" in (tmp_path / "table.md").read_text()
+    assert "| 1 | 5 |" in (tmp_path / "report.md").read_text()
     with pytest.raises(UserError, match="was trained with 4; give another --out, or --updates 4"):
         cli.command(["run", *SMALL[:-1], "9", "--out", str(tmp_path)])
 
@@ -65,14 +65,14 @@ def test_killed_and_started_again(tmp_path):
     process = subprocess.Popen(
         [*start, str(killed)], stdout=subprocess.DEVNULL, start_new_session=True
     )
-    while not list(killed.glob("b*.json")):
+    while not list(killed.glob("cells/b*.json")):
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    assert 0 < len(list(killed.glob("b*.json"))) < 3
+    assert 0 < len(list(killed.glob("cells/b*.json"))) < 3
     subprocess.run([*start, str(killed)], check=True, capture_output=True)
     for cell in grid([1], [5], ["fp"], range(3)):
-        assert read(killed, cell).points == read(whole, cell).points
+        assert read(killed / "cells", cell).points == read(whole / "cells", cell).points
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_killed_and_started_again(tmp_path):
         (["run", "--repr", "esk"], "did you mean 'esc'?"),
         (["run", "--repr"], "at least one"),
         (["run", "--seeds", "0"], "greater than 0"),
-        (["run", "--out", "file"], "--out file: File exists"),
+        (["run", "--out", "file"], "--out file/cells: Not a directory"),
         (["run", "--bench", "1"], "--bench"),
         (["run", "--device", "tpu"], "--device"),
         (["run", "--device", "cuda"], "--device cuda: torch finds no GPU"),

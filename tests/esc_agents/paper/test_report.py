@@ -1,75 +1,127 @@
-"""The table: the paper's averages as a check of ours, and what is left out."""
+"""The report: every figure with what it shows in words, and what is left out."""
 
 from __future__ import annotations
 
-import csv
+import re
+from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
 from esc_agents.errors import UserError
-from esc_agents.paper.report import entries, published, reduction, report, rows, savings
-from esc_agents.paper.results import Result, path_of, write
-from esc_agents.paper.training import Cell, Point
+from esc_agents.paper import figures
+from esc_agents.paper.experiment import STUDIES, study
+from esc_agents.paper.report import report
+from esc_agents.paper.results import path_of, write
+from esc_agents.paper.table import entries
+from esc_agents.paper.training import Cell, overtaking
+from tests.esc_agents.paper.finished import result
+
+FIGURES = {"bars", "curves-1", "places-1", "truncation-1", "code-dim-1"}
 
 
-def result(benchmark, size, repr, seed, error):
-    cell = Cell(benchmark, size, repr, seed)
-    errors = dict.fromkeys(cell.test_sizes, error)
-    return Result(cell, 100, [Point(50, dict.fromkeys(errors, 99.0)), Point(100, errors)], 1.0, {})
+def everything(folder, seeds=2):
+    """Cells of the table and of all studies, of benchmark 1."""
+    j = overtaking()[0].numpy()
+    smooth, jump = 0.01 * j, 0.01 * j + 3.0 * (j > 1.001)
+    cells = [Cell(1, 20, repr, seed) for repr in ("esc", "fp", "ap") for seed in range(seeds)]
+    for name in STUDIES:
+        cells += study(name, [1], range(seeds))
+    for cell in dict.fromkeys(cells):
+        outputs = (jump if cell.repr == "fp" else smooth).tolist() if cell.size == 2 else None
+        made = result(
+            1, cell.size, cell.repr, cell.seed, 5.0 + cell.seed, overtaking=outputs,
+            code_dim=cell.code_dim, slots=cell.slots,
+        )  # fmt: skip
+        write(folder, made)
 
 
-def test_the_papers_own_averages():
-    """Its text says 62.2 %; the others were recomputed from its table."""
-    assert len(published()) == 6 * 4 * 4
-    shares = {title: (ours, paper) for title, ours, paper in savings(published())[1:]}
-    assert shares == {
-        "ESC (fixed M) against FP": ("62.2%", "62.2%"),
-        "ESC (fixed M) against AP": ("67.5%", "67.5%"),
-        "FP against AP": ("20.7%", "20.7%"),
-        "ESC (M in 1..20) against FP": ("63.1%", "63.1%"),
-    }
+@pytest.fixture
+def cells(tmp_path):
+    folder = tmp_path / "cells"
+    folder.mkdir()
+    return folder
 
 
-def test_mean_and_deviation_over_seeds():
-    found = entries([result(1, 5, "esc", seed, error) for seed, error in enumerate((2.0, 4.0))])
-    entry = found[1, 5, "esc", "fixed"]
-    assert (entry.mean, entry.seeds) == (3.0, 2)
-    assert entry.std == pytest.approx(np.std([2, 4], ddof=1))
-    assert str(entry) == "3 ± 1.4"
-    assert str(entries([result(1, 5, "esc", 0, 2.0)])[1, 5, "esc", "fixed"]) == "2"
-
-
-def test_reduction_of_what_both_have():
-    table = entries([result(1, 5, "esc", 0, 1.0), result(1, 5, "fp", 0, 4.0),
-                     result(1, 10, "esc", 0, 3.0)])  # fmt: skip
-    assert reduction(table, ("esc", "fixed"), ("fp", "fixed")) == 0.75
-    assert np.isnan(reduction(table, ("esc", "fixed"), ("ap", "fixed")))
-
-
-def test_best_in_bold_and_more_columns():
-    cells = (5, "esc", 1.0), (5, "fp", 4.0), (5, "attention", 0.5), (None, "esc", 2.0)
-    table = entries([result(1, size, repr, 0, error) for size, repr, error in cells])
-    header, first, *others = rows(table)
-    assert header[2:6] == [
-        "esc (M in 1..20)", "esc (M fixed)", "fp (M fixed)", "attention (M fixed)",
-    ]  # fmt: skip
-    assert first[:6] == ["1", "5", "2", "1", "4", "**0.5**"]
-    assert first[6:10] == ["3.78 ± 0.1", "**3.77 ± 0.15**", "7.42 ± 0.13", ""]
-    assert [row[1] for row in others] == ["10", "15", "20"]
-
-
-def test_files(tmp_path, capsys):
+def test_files(cells, capsys):
     for seed in range(2):
-        write(tmp_path, result(2, 10, "ap", seed, 50.0 + seed))
-    broken = path_of(tmp_path, Cell(2, 10, "ap", 0))
+        write(cells, result(2, 10, "ap", seed, 50.0 + seed))
+    broken = path_of(cells, Cell(2, 10, "ap", 0))
     broken.write_bytes(broken.read_bytes()[:-20])
-    report(tmp_path)
+    report(cells.parent)
     assert f"{broken}: not a whole result" in capsys.readouterr().out
-    (row,) = csv.DictReader((tmp_path / "table.csv").read_text().splitlines())
-    assert (row["mse"], row["seeds"], row["paper_mse"]) == ("51.0", "1", "60.14")
-    assert float(row["rmse"]) == pytest.approx(51**0.5)
-    assert "| 2 | 10 | **51** |" in (tmp_path / "table.md").read_text()
+    assert "| 2 | 10 | **51** | **60.1±0.36** |" in (cells.parent / "report.md").read_text()
+    assert "2,10,ap,fixed,51.0" in (cells.parent / "table.csv").read_text()
+
+
+class Page(HTMLParser):
+    """What a browser would meet: open elements, images, cells of tables."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.images, self.cells = [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        if tag == "img":
+            self.images.append(dict(attrs))
+        if tag not in {"meta", "link", "img"}:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in {"td", "th"}:
+            self.cells.append(data)
+
+
+def test_one_page_with_everything(cells, capsys):
+    everything(cells)
+    report(cells.parent)
+    assert {path.stem for path in cells.parent.glob("*.png")} == FIGURES
+    text = (cells.parent / "report.html").read_text()
+    page = Page(text)
+    assert page.open == []
+    assert len(page.images) == len(FIGURES)
+    assert all(image["alt"] for image in page.images)
+    assert all(image["src"].startswith("data:image/png;base64,") for image in page.images)
+    assert not re.search(r'(src|href)="https?:', text)
+    assert "5.5±0.71" in text
+    assert "ESC, any M" in page.cells
+    assert re.search(r"largest change .*: 0.0002 \(ESC\), 3 \(FP\)", text)
+    printed = capsys.readouterr().out
+    assert "5.5" in printed
+    assert "±" not in printed
+
+
+def test_studies_alone(cells):
+    for cell in study("code-dim", [3], [0]):
+        write(cells, result(3, None, "esc", 0, 5.0, code_dim=cell.code_dim))
+    report(cells.parent)
+    assert "| 26 | 5 |" in (cells.parent / "report.md").read_text()
+
+
+def test_bands_are_intervals_over_seeds():
+    errors = [2.0, 3.0, 7.0]
+    results = [result(1, 5, "fp", seed, error) for seed, error in enumerate(errors)]
+    axes = figures.curves(results, 1).axes[0]
+    assert axes.lines[0].get_ydata()[-1] == pytest.approx(4.0)
+    last = [y for x, y in axes.collections[0].get_paths()[0].vertices if x == 100]
+    # Student's t with two degrees of freedom: 4.303 standard errors.
+    half = 4.303 * np.std(errors, ddof=1) / 3**0.5
+    assert (min(last), max(last)) == pytest.approx((4 - half, 4 + half), rel=1e-3)
+
+
+def test_bars_stand_beside_the_papers():
+    table = entries([result(1, 5, repr, 0, error) for repr, error in (("esc", 1.0), ("fp", 4.0))])
+    axes = figures.bars(table).axes[0]
+    assert [bar.get_height() for bar in axes.patches] == [1.0, 4.0]
+    diamonds = [line.get_xydata().tolist() for line in axes.lines]
+    middles = [bar.get_x() + bar.get_width() / 2 for bar in axes.patches]
+    expected = [[middles[0], 3.77]], [[middles[1], 7.42]]
+    np.testing.assert_allclose(diamonds, expected)
 
 
 def test_nothing_to_report(tmp_path):
