@@ -102,21 +102,31 @@ def train(
     """
     torch.manual_seed(cell.seed)
     policy = Policy(cell).to(device)
-    fused = torch.optim.Adam(policy.parameters(), lr=LEARNING_RATE, fused=True)
-    target, samples = TARGETS[cell.benchmark], Samples("train", cell.seed, cell.size)
+    learn, target = updater(policy, cell, device), TARGETS[cell.benchmark]
     tests = [(size, Samples("test", cell.seed, size).all(device)) for size in cell.test_sizes]
     points = []
     for update in range(1, updates + 1):
-        sets = samples.draw(samples.batch(update, BATCH, device))
-        loss = nn.functional.mse_loss(policy(sets), target(sets))
-        fused.zero_grad()
-        loss.backward()
-        fused.step()
+        learn(update)
         tick(update)
         if update % EVALUATE_EVERY == 0 or update == updates:
             errors = {size: mean_squared_error(policy, target, sets) for size, sets in tests}
             points.append(Point(update, errors))
     return policy, points
+
+
+def updater(policy: Policy, cell: Cell, device: str) -> Callable[[int], None]:
+    """Makes the update of a number, 1 or more: one step of Adam on 512 sets."""
+    adam = torch.optim.Adam(policy.parameters(), lr=LEARNING_RATE, fused=True)
+    target, samples = TARGETS[cell.benchmark], Samples("train", cell.seed, cell.size)
+
+    def learn(update: int) -> None:
+        sets = samples.draw(samples.batch(update, BATCH, device))
+        loss = nn.functional.mse_loss(policy(sets), target(sets))
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+
+    return learn
 
 
 def overtaking(device: str = "cpu") -> tuple[Tensor, Sets]:
