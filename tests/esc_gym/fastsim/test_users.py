@@ -6,6 +6,7 @@ Each must be simulated exactly, compiled or not: whatever the kernels cannot kno
 from __future__ import annotations
 
 import copy
+import pickle
 from functools import partial
 
 import gymnasium as gym
@@ -321,6 +322,19 @@ def test_planning_on_copies(name, cls):
     if name == "lane" and cls is IntersectionEnv:
         cls = ExitEnv  # highway-env sends vehicles to lanes that an intersection does not have
     lockstep(lambda: Planner(cls(), FORKS[name]), steps=4, seeds=[1], compiled=None)
+
+
+class Reloaded(gym.Wrapper):
+    """Goes on with what pickle makes of the environment."""
+
+    def step(self, action):
+        self.env = pickle.loads(pickle.dumps(self.env))
+        return self.env.step(action)
+
+
+@pytest.mark.parametrize("id", ["highway-fast-v0", "intersection-v1", "parking-v0"])
+def test_unpickled_environments_stay_compiled(id):
+    lockstep(lambda: Reloaded(gym.make(id)), steps=6)
 
 
 def test_two_at_once():
