@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from esc_agents.errors import UserError
 from esc_agents.statistics import mean_interval, wilson_interval
 
 Policy = Callable[[dict[str, NDArray]], NDArray]
@@ -87,10 +88,18 @@ def evaluate(
     ended: dict[int, Episode] = {}
     while len(ended) < len(seeds) and not stop():
         observations, _, _, infos = envs.step(policy(observations))
+        check_faults(infos)
         for info in infos:
             if episode := info.get("episode"):
                 ended[episode["seed"]] = _episode(episode)
     return [ended[seed] for seed in seeds if seed in ended]
+
+
+def check_faults(infos: Sequence[dict[str, Any]], where: str = "evaluation") -> None:
+    """Raises UserError where an environment (``esc_agents.envs.Worker``) reports a fault."""
+    for index, info in enumerate(infos):
+        if fault := info.get("fault"):
+            raise UserError(f"{where}, environment {index}, {fault}")
 
 
 def _episode(info: dict[str, Any]) -> Episode:

@@ -66,6 +66,7 @@ class Run:
     def read(cls, path: Path) -> Run:
         """Raises UserError where ``path`` holds no finished run."""
         config = run.open_run(path)
+        run.verify(path, "results.json", "evaluations.npz", "metrics.csv", "versions.json")
         try:
             results = _summaries(json.loads((path / "results.json").read_text(encoding="utf-8")))
             with np.load(path / "evaluations.npz") as saved:
