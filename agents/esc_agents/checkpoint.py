@@ -94,6 +94,10 @@ def _set_generators(found: dict[str, Any]) -> None:
         torch.cuda.set_rng_state_all(found["cuda"])
 
 
+def sha256(state: bytes) -> str:
+    return hashlib.sha256(state).hexdigest()
+
+
 def path_of(folder: Path, steps: int) -> Path:
     return folder / f"{steps:012d}{SUFFIX}"
 
@@ -102,7 +106,7 @@ def write(folder: Path, steps: int, state: bytes) -> Path:
     """Write a checkpoint at once: it is there whole, or not at all; older ones go but for one."""
     header = {
         "schema": SCHEMA, "steps": steps, "size": len(state),
-        "sha256": hashlib.sha256(state).hexdigest(),
+        "sha256": sha256(state),
         "mac": hmac.digest(_key(), state, "sha256").hex(), "versions": versions(),
     }  # fmt: skip
     path = path_of(folder, steps)
@@ -141,7 +145,7 @@ def read(path: Path, trust: bool = False) -> bytes:
         )
     if len(state) != size:
         raise Damaged(f"{path} is cut off: expected {size:,} bytes, got {len(state):,}")
-    if hashlib.sha256(state).hexdigest() != digest:
+    if sha256(state) != digest:
         raise Damaged(f"{path} is damaged: its contents do not match their checksum")
     ours = hmac.digest(_key(), state, "sha256").hex()
     if not trust and not hmac.compare_digest(ours, str(mac)):

@@ -195,7 +195,11 @@ class MetricsFile:
             self._rewrite()
 
     def write(self, row: dict[str, Any]) -> None:
-        """Append a row; a new column rewrites the file."""
+        """Append a row, or add to the last one where it is of the same step."""
+        if self.rows and str(self.rows[-1][STEP]) == str(row[STEP]):
+            self.rows[-1].update(row)
+            self._rewrite()
+            return
         known = self.rows[0].keys() if self.rows else ()
         self.rows.append({**dict.fromkeys(known, ""), **row})
         if len(self.rows[-1]) > len(known):

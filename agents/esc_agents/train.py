@@ -165,8 +165,8 @@ def train(config: TrainConfig, *, resume: Path | None = None, trust: bool = Fals
     directory = resume or config.run_dir or run.default_run_dir(config)
     with ExitStack() as stack:
         if resume:
-            stack.enter_context(run.locked(resume))
             _check_unfinished(config, resume)
+            stack.enter_context(run.locked(resume))
         else:
             run.check_free(directory)
         probe = check(config)
@@ -285,7 +285,7 @@ class Training:
             results = self._results(stop)
         run.write_checksums(directory)
         if stop.interrupted:
-            say(f"Stopped after {model.num_timesteps:,} steps; everything is saved.")
+            say(f"Stopped after {model.num_timesteps:,} steps; the model is saved.")
             say(f"Continue with: esc-train --resume {directory}")
             return False
         run.write_json(directory / "results.json", as_rows(results))
