@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from esc_agents import callbacks, run
 from esc_agents.checkpoint import in_order
 from esc_agents.envs import EnvFactory, Worker
 from esc_agents.errors import UserError
+from esc_agents.evaluate import check_faults
 from esc_agents.train import train, vectorise
 from esc_gym.observation import SetObservation
 from tests.esc_agents.tiny import tiny
@@ -19,7 +22,7 @@ from tests.esc_agents.tiny import tiny
 real_step = SetObservation.step
 
 
-def broken_step(change, at=5):
+def broken_step(change, at=2):
     """A step that is ``change``d in every environment at its step number ``at``."""
 
     def step(self, action):
@@ -47,25 +50,42 @@ def fails(observation, reward):
 
 
 CHANGES = {
-    "vehicle": (nan_in_vehicles, r"episode 0, step 5: 'vx' of vehicle 1 \(id \d+\) is nan"),
-    "ego": (infinite_ego, r"episode 0, step 5: '\w+' of the ego is inf"),
-    "reward": (lambda o, r: (o, float("-inf")), r"episode 0, step 5: the reward is -inf"),
-    "exception": (fails, r"episode 0, step 5: ZeroDivisionError: a custom road"),
+    "vehicle": (nan_in_vehicles, r"episode 0, step 2: 'vx' of vehicle 1 \(id \d+\) is nan"),
+    "ego": (infinite_ego, r"episode 0, step 2: '\w+' of the ego is inf"),
+    "reward": (lambda o, r: (o, float("-inf")), r"episode 0, step 2: the reward is -inf"),
+    "exception": (fails, r"episode 0, step 2: ZeroDivisionError: a custom road"),
 }
 
 
-@pytest.mark.parametrize("vec", ["dummy", "subproc"])
 @pytest.mark.parametrize("name", CHANGES)
-def test_environments(name, vec, tmp_path, monkeypatch):
+def test_environments(name, tmp_path, monkeypatch):
     change, message = CHANGES[name]
     monkeypatch.setattr(SetObservation, "step", broken_step(change))
-    if vec == "subproc":  # processes started afresh would not see the patch
-        monkeypatch.setattr("multiprocessing.get_all_start_methods", lambda: ["fork"])
-    with pytest.raises(
-        UserError, match=f"highway-fast-v0, seed 0, step 10, environment 0, {message}"
-    ):
-        train(tiny(vec=vec, run_dir=tmp_path / "run"))
+    where = "highway-fast-v0, seed 0, step 4, environment 0, "
+    with pytest.raises(UserError, match=where + message):
+        train(tiny(run_dir=tmp_path / "run"))
     assert len(in_order(tmp_path / "run" / "checkpoints")) == 1
+
+
+class Broken(gym.Wrapper):
+    def step(self, action):
+        raise ZeroDivisionError("a custom road")
+
+
+def broken():
+    return Worker(Broken(EnvFactory(tiny())().env))
+
+
+def test_environments_in_processes():
+    envs = SubprocVecEnv([EnvFactory(tiny()), broken])
+    try:
+        envs.reset()
+        for _ in range(2):
+            *_, infos = envs.step(np.ones(2, int))
+            with pytest.raises(UserError, match="here, environment 1, episode 0, step 1: ZeroDiv"):
+                check_faults(infos, "here")
+    finally:
+        envs.close()
 
 
 def test_faults_of_a_reset_are_told_with_the_next_step(monkeypatch):
