@@ -171,12 +171,10 @@ def train(config: TrainConfig, *, resume: Path | None = None, trust: bool = Fals
             run.check_free(directory)
         probe = check(config)
         envs, judges = (stack.enter_context(closing(made)) for made in _vectorised(config))
+        model, found = _model(config, envs, resume, trust)
         if resume:
-            state = newest_state(resume, trust)
-            model, found = checkpoint.restore(state, ALGORITHMS[config.algo], envs)
             run.note_session(resume, config)
         else:
-            model, found = new_model(config, envs), None
             run.create(directory, config, wrapper_json(probe), str(model.device))
             stack.enter_context(run.locked(directory))
         training = Training(config, directory, model, probe, judges)
@@ -233,9 +231,30 @@ def load_model(config: TrainConfig, directory: Path, trust: bool = False) -> tup
     return model, model.num_timesteps
 
 
-def newest_state(directory: Path, trust: bool) -> bytes:
-    """The newest whole checkpoint of a run; damaged ones are named."""
-    for path in reversed(checkpoint.in_order(directory / "checkpoints")):
+def _model(
+    config: TrainConfig, envs: VecEnv, resume: Path | None, trust: bool
+) -> tuple[BaseAlgorithm, dict[str, Any] | None]:
+    """(a new model, None), or what ``checkpoint.restore`` makes of a run's newest checkpoint."""
+    state = newest_state(resume, trust) if resume else None
+    if state is None:
+        return new_model(config, envs), None
+    torch.set_num_threads(config.threads)
+    try:
+        return checkpoint.restore(state, ALGORITHMS[config.algo], envs)
+    except Exception as error:  # what unpickling old classes can raise is anybody's guess
+        raise UserError(
+            f"the checkpoint of {resume} does not load with the versions installed here (those of "
+            f"the run are in versions.json): {type(error).__name__}: {error}"
+        ) from error
+
+
+def newest_state(directory: Path, trust: bool) -> bytes | None:
+    """The newest whole checkpoint of a run; damaged ones are named. None before the first one."""
+    paths = checkpoint.in_order(directory / "checkpoints")
+    if not paths:
+        say(f"{directory} holds no checkpoint yet: it starts from the beginning")
+        return None
+    for path in reversed(paths):
         try:
             state = checkpoint.read(path, trust)
         except checkpoint.Damaged as damaged:
