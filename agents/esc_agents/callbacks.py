@@ -17,7 +17,13 @@ from stable_baselines3.common.vec_env import VecEnv
 from esc_agents import checkpoint
 from esc_agents.config import TrainConfig
 from esc_agents.errors import UserError
-from esc_agents.evaluate import Episode, check_faults, evaluate, model_policy
+from esc_agents.evaluate import (
+    Episode,
+    check_faults,
+    evaluate,
+    model_policy,
+    read_evaluations,
+)
 from esc_agents.run import STEP, MetricsFile, write_atomically
 
 LOGGED = {
@@ -85,9 +91,9 @@ class FixedSeedEvaluation(BaseCallback):
 
     def _init_callback(self) -> None:
         if self.path.is_file():
-            with np.load(self.path) as saved:
-                kept = saved["timesteps"] <= self.model.num_timesteps
-                self.history = {name: list(saved[name][kept]) for name in saved.files}
+            saved = read_evaluations(self.path)
+            kept = saved["timesteps"] <= self.model.num_timesteps
+            self.history = {name: list(values[kept]) for name, values in saved.items()}
         self._next = (self.model.num_timesteps // self.every + 1) * self.every
 
     def _on_step(self) -> bool:
@@ -145,6 +151,10 @@ class Faults(BaseCallback):
         for name, value in self.logger.name_to_value.items():
             if "loss" in name and not np.isfinite(value):
                 raise UserError(f"{self._where()}: {name} is {value}")
+        self.check_weights()
+
+    def check_weights(self) -> None:
+        """Raises UserError unless all weights are finite."""
         total = sum(p.detach().sum() for p in self.model.policy.parameters())
         if not np.isfinite(float(total)):
             bad = [

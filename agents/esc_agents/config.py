@@ -54,8 +54,9 @@ Ranges = Annotated[dict[str, tuple[float, float]], _YamlArgument]
 
 class _Model(BaseModel):
     model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True,
+        ser_json_inf_nan="constants",  # in a mapping for highway-env they may be meant
+    )  # fmt: skip
 
 
 class ObservationConfig(_Model):

@@ -30,7 +30,7 @@ from esc_agents.train import say
 
 TRAIN = [sys.executable, "-c", "from esc_agents.cli.train import main; main()"]
 COMMON = [
-    "--n-envs", "2", "--device", "cpu", "--evaluation.episodes", "2", "--encoder.hidden", "16",
+    "--n-envs", "2", "--device", "cpu", "--evaluation.episodes", "2", "--encoder.hidden", "64",
 ]  # fmt: skip
 RUNS = {
     "ppo": [
@@ -183,7 +183,7 @@ def damaged(drill: Drill, name: str, change: Callable[[bytes], bytes]) -> str:
     last.write_bytes(change(last.read_bytes()))
     printed = finish(["--resume", str(path)])
     expect(f"Continuing from {before}" in printed, f"not from the one before: {printed}")
-    return printed.splitlines()[0].removeprefix(f"{path}/checkpoints/")
+    return next(line for line in printed.splitlines() if str(last) in line)
 
 
 def truncated(drill: Drill) -> str:

@@ -189,7 +189,8 @@ class MetricsFile:
         self.path = path
         self.rows: list[dict[str, Any]] = []
         if path.is_file():
-            with path.open(newline="", encoding="utf-8") as file:
+            # What is not text is in a line that a crash cut off, and such lines are left out.
+            with path.open(newline="", encoding="utf-8", errors="replace") as file:
                 rows = [r for r in csv.DictReader(file) if (r.get(STEP) or "").isdigit()]
             self.rows = [row for row in rows if int(row[STEP]) <= first_step]
             self._rewrite()

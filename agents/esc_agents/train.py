@@ -328,7 +328,8 @@ class Training:
         evaluation.save_best = partial(self.save_policy, "best_policy")
         folder = directory / "checkpoints"
         saved = Checkpoints(folder, config.checkpoint_every, lambda: stop.interrupted, say)
-        saved.callbacks = callbacks = [Faults(config), DrivingLog(), evaluation, saved]
+        faults = Faults(config)
+        saved.callbacks = callbacks = [faults, DrivingLog(), evaluation, saved]
         if found:
             checkpoint.resume(model, found, callbacks)
         try:
@@ -342,6 +343,9 @@ class Training:
                 saved.save()
         except Stopped:
             pass
+        except ValueError:
+            faults.check_weights()  # if they are the reason, of which torch says only what it saw
+            raise
         finally:
             saved.writer.wait()
             model.logger.close()
