@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -53,7 +53,7 @@ class DrillArguments(BaseModel):
 
     kills: PositiveInt = 20
     """SIGKILLs in the PPO run, and as many in the SAC run."""
-    ppo_steps: PositiveInt = 20_000
+    ppo_steps: PositiveInt = 40_000
     sac_steps: PositiveInt = 4_000
     seed: int = 0
     """Of the moments."""
@@ -77,6 +77,7 @@ class Drill:
     folder: Path
     arguments: DrillArguments
     moments: random.Random
+    seconds: dict[str, float] = field(default_factory=dict)
 
     def steps(self, algo: str) -> int:
         return self.arguments.ppo_steps if algo == "ppo" else self.arguments.sac_steps
@@ -90,7 +91,12 @@ class Drill:
         """The run that nothing happened to."""
         path = self.folder / f"{algo}-whole"
         if not path.exists():
-            finish(self.new(algo, path.name))
+            with started(self.new(algo, path.name)) as process:
+                wait_for(process, "steps into")
+                start = time.monotonic()
+                process.communicate(timeout=SECONDS)
+                self.seconds[algo] = time.monotonic() - start
+            expect(process.returncode == 0, "the uninterrupted run failed")
         return path
 
 
@@ -140,19 +146,20 @@ def last_line(printed: str) -> str:
 
 def kills(drill: Drill, algo: str) -> str:
     """SIGKILL at random moments; resumed each time."""
-    path, count = drill.folder / f"{algo}-killed", drill.arguments.kills
+    path, count, whole = drill.folder / f"{algo}-killed", drill.arguments.kills, drill.whole(algo)
+    latest = 0.8 * drill.seconds[algo] / count  # so that the run does not end before the last kill
     args, done, steps = drill.new(algo, path.name), 0, set()
     while done < count:
         with started(args) as process:
             wait_for(process, "steps into")
-            time.sleep(drill.moments.uniform(0, 2.5))
+            time.sleep(drill.moments.uniform(0, latest))
             expect(process.poll() is None, f"the run ended after {done} kills: give it more steps")
             os.killpg(process.pid, signal.SIGKILL)
             done += 1
         steps.add(max((int(p.stem) for p in in_order(path / "checkpoints")), default=0))
         args = ["--resume", str(path)]
     finish(args)
-    same(path, drill.whole(algo))
+    same(path, whole)
     return (
         f"{count} times, resumed from {len(steps)} places up to step {max(steps):,}: the same files"
     )

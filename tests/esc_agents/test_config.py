@@ -75,6 +75,8 @@ def test_dump_reads_back_equal(config, tmp_path):
         ("steps: 0", "steps: .*greater than 0, got 0"),
         ("observation: {max_vehicles: 0}", "observation.max_vehicles: .*greater than 0, got 0"),
         ("seed: 4294967296", "seed: .*less than 4294967296"),
+        ("ppo: {gamma: 1.5}", "ppo.gamma: .*less than or equal to 1, got 1.5"),
+        ("n_envs: -1", "n_envs: .*greater than 0, got -1"),
         ("ppo: {learning_rate: .inf}", "ppo.learning_rate: .*finite"),
         ("env_config: 3", "env_config: .*dictionary, got 3"),
         ("algo: dqn", "algo: .*'ppo' or 'sac', got 'dqn'"),
