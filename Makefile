@@ -5,7 +5,9 @@ TRAIN ?= --env highway-v0 --repr esc --steps 50000
 BENCH ?= --end-to-end --out docs/speed.md --readme README.md
 WORKERS ?= 2
 
-.PHONY: setup train test exact bench lint
+SOAK ?= --steps 1000000 --out docs/reliability.md
+
+.PHONY: setup train test exact bench drill soak lint
 setup: .venv/.done
 
 .venv/.done: pyproject.toml constraints.txt
@@ -26,6 +28,12 @@ exact: setup
 bench: setup
 	$(BIN)/pytest tests/benchmarks --benchmark-enable -o norecursedirs=.* -s
 	$(BIN)/esc-bench $(BENCH)
+
+drill: setup
+	$(BIN)/python -m esc_agents.drill
+
+soak: setup
+	$(BIN)/python -m esc_agents.soak $(SOAK)
 
 lint: setup
 	$(BIN)/ruff check .

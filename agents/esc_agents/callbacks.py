@@ -14,7 +14,16 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter
 from stable_baselines3.common.vec_env import VecEnv
 
-from esc_agents.evaluate import Episode, evaluate, model_policy
+from esc_agents import checkpoint
+from esc_agents.config import TrainConfig
+from esc_agents.errors import UserError
+from esc_agents.evaluate import (
+    Episode,
+    check_faults,
+    evaluate,
+    model_policy,
+    read_evaluations,
+)
 from esc_agents.run import STEP, MetricsFile, write_atomically
 
 LOGGED = {
@@ -26,14 +35,19 @@ LOGGED = {
 }
 
 
+class Stopped(Exception):
+    """Training ends here, because somebody asked it to."""
+
+
 class MetricsWriter(KVWriter):
-    """SB3's logger -> metrics.csv."""
+    """SB3's logger -> metrics.csv, but for what the clock says: the same run, the same file."""
 
     def __init__(self, path: Path, first_step: int) -> None:
         self.file = MetricsFile(path, first_step)
 
     def write(self, key_values: dict, key_excluded: dict, step: int = 0) -> None:
-        self.file.write({STEP: step, **dict(sorted(key_values.items()))})
+        kept = {k: v for k, v in sorted(key_values.items()) if not k.startswith("time/")}
+        self.file.write({STEP: step, **kept})
 
     def close(self) -> None:
         """Nothing stays open between rows."""
@@ -46,6 +60,15 @@ class DrivingLog(BaseCallback):
         super().__init__()
         self.episodes: deque[dict[str, float]] = deque(maxlen=100)
 
+    @property
+    def state(self) -> list[dict[str, float]]:
+        """What a checkpoint has to hold."""
+        return list(self.episodes)
+
+    @state.setter
+    def state(self, episodes: list[dict[str, float]]) -> None:
+        self.episodes.extend(episodes)
+
     def _on_step(self) -> bool:
         if ended := [info["episode"] for info in self.locals["infos"] if "episode" in info]:
             self.episodes.extend(ended)
@@ -56,7 +79,7 @@ class DrivingLog(BaseCallback):
 
 
 class FixedSeedEvaluation(BaseCallback):
-    """Every ``every`` steps: the same episodes, appended to evaluations.npz; best_model.zip."""
+    """Every ``every`` steps: the same episodes, appended to evaluations.npz; the best model."""
 
     def __init__(self, envs: VecEnv, seeds: Sequence[int], every: int, run: Path) -> None:
         super().__init__()
@@ -64,20 +87,22 @@ class FixedSeedEvaluation(BaseCallback):
         self.path = run / "evaluations.npz"
         self.history: dict[str, list] = {}
         self.stopped: Callable[[], bool] = lambda: False
+        self.save_best: Callable[[], object] = lambda: None
 
     def _init_callback(self) -> None:
         if self.path.is_file():
-            with np.load(self.path) as saved:
-                kept = saved["timesteps"] <= self.model.num_timesteps
-                self.history = {name: list(saved[name][kept]) for name in saved.files}
+            saved = read_evaluations(self.path)
+            kept = saved["timesteps"] <= self.model.num_timesteps
+            self.history = {name: list(values[kept]) for name, values in saved.items()}
         self._next = (self.model.num_timesteps // self.every + 1) * self.every
 
     def _on_step(self) -> bool:
         if self.num_timesteps >= self._next:
             self._next = (self.num_timesteps // self.every + 1) * self.every
             episodes = evaluate(self.envs, model_policy(self.model), self.seeds, self.stopped)
-            if len(episodes) == len(self.seeds):
-                self._record(episodes)
+            if len(episodes) < len(self.seeds):
+                raise Stopped  # at once: a checkpoint from here on would miss this evaluation
+            self._record(episodes)
         return True
 
     def _record(self, episodes: list[Episode]) -> None:
@@ -99,6 +124,7 @@ class FixedSeedEvaluation(BaseCallback):
         self.logger.record("eval/collision_rate", float(np.mean(row["crashed"])))
         if np.mean(rewards) > best:
             write_atomically(self.run / "best_model.zip", self.model.save)
+            self.save_best()
         crashes = sum(row["crashed"])
         print(
             f"step {self.num_timesteps:,}: return {np.mean(rewards):.2f}, "
@@ -107,43 +133,93 @@ class FixedSeedEvaluation(BaseCallback):
         )
 
 
-class Checkpoints(BaseCallback):
-    """checkpoints/<steps>.zip every ``every`` steps; the last two stay."""
+class Faults(BaseCallback):
+    """Ends training at the first number that is NaN or infinite, or environment that failed.
 
-    def __init__(self, folder: Path, every: int) -> None:
+    Checkpoints come after it in the list of callbacks, so each is from before.
+    """
+
+    def __init__(self, config: TrainConfig) -> None:
         super().__init__()
-        self.folder, self.every = folder, every
-
-    def _init_callback(self) -> None:
-        self._next = (self.model.num_timesteps // self.every + 1) * self.every
+        self.config = config
 
     def _on_step(self) -> bool:
-        if self.num_timesteps >= self._next:
+        check_faults(self.locals["infos"], self._where())
+        return True
+
+    def _on_rollout_start(self) -> None:
+        for name, value in self.logger.name_to_value.items():
+            if "loss" in name and not np.isfinite(value):
+                raise UserError(f"{self._where()}: {name} is {value}")
+        self.check_weights()
+
+    def check_weights(self) -> None:
+        """Raises UserError unless all weights are finite."""
+        total = sum(p.detach().sum() for p in self.model.policy.parameters())
+        if not np.isfinite(float(total)):
+            bad = [
+                name for name, p in self.model.policy.named_parameters()
+                if not p.detach().isfinite().all()
+            ]  # fmt: skip
+            name = bad[0] if bad else "the sum of all weights"
+            raise UserError(
+                f"{self._where()}: after an update {name} is not finite; a smaller learning_rate "
+                "may help"
+            )
+
+    def _where(self) -> str:
+        return f"{self.config.env}, seed {self.config.seed}, step {self.num_timesteps:,}"
+
+
+class Checkpoints(BaseCallback):
+    """A checkpoint at the first rollout after every ``every`` steps, and where training stops.
+
+    callbacks: all of the training, in their order.
+    """
+
+    def __init__(self, folder: Path, every: int, stopped: Callable[[], bool], say: Any) -> None:
+        super().__init__()
+        self.every, self.stopped = every, stopped
+        self.writer = checkpoint.Writer(folder, say)
+        self.callbacks: Sequence[BaseCallback] = ()
+
+    def _init_callback(self) -> None:
+        steps = self.model.num_timesteps
+        self._next = (steps // self.every + 1) * self.every if steps else 0
+
+    def _on_rollout_start(self) -> None:
+        stopped = self.stopped()
+        if stopped or self.num_timesteps >= self._next:
             self._next = (self.num_timesteps // self.every + 1) * self.every
-            write_atomically(self.folder / f"{self.num_timesteps:012d}.zip", self.model.save)
-            for old in sorted(self.folder.glob("*.zip"))[:-2]:
-                old.unlink()
+            self.save()
+        if stopped:
+            raise Stopped
+
+    def save(self) -> None:
+        """A checkpoint of what is now; ``writer.wait()`` until it is on the disk."""
+        self.writer.write(self.model.num_timesteps, checkpoint.capture(self.model, self.callbacks))
+
+    def _on_step(self) -> bool:
         return True
 
 
-class StopOnInterrupt(BaseCallback):
-    """Ctrl-C ends training after the current step; a second one ends the process at once."""
+class StopOnSignal:
+    """Ctrl-C and SIGTERM end training at the next checkpoint; a second one at once."""
+
+    SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
     def __init__(self) -> None:
-        super().__init__()
         self.interrupted = False
 
-    def __enter__(self) -> StopOnInterrupt:
-        self._previous = signal.signal(signal.SIGINT, self._handle)
+    def __enter__(self) -> StopOnSignal:
+        self._previous = {number: signal.signal(number, self._handle) for number in self.SIGNALS}
         return self
 
     def __exit__(self, *_: object) -> None:
-        signal.signal(signal.SIGINT, self._previous)
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if self.interrupted:
             raise KeyboardInterrupt
         self.interrupted = True
-
-    def _on_step(self) -> bool:
-        return not self.interrupted

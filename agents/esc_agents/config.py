@@ -24,6 +24,7 @@ from esc_agents.errors import UserError
 from esc_gym.features import DEFAULT_FEATURES
 from esc_gym.registration import ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
 
+SCHEMA = 1  # of the YAML files
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]  # what NumPy takes
 
@@ -53,8 +54,9 @@ Ranges = Annotated[dict[str, tuple[float, float]], _YamlArgument]
 
 class _Model(BaseModel):
     model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True,
+        ser_json_inf_nan="constants",  # in a mapping for highway-env they may be meant
+    )  # fmt: skip
 
 
 class ObservationConfig(_Model):
@@ -174,8 +176,8 @@ class TrainConfig(_Model):
     """torch device: auto, cpu, cuda, cuda:1."""
     run_dir: Path | None = None
     """New directory for the run; default: runs/<env>-<repr>-<algo>-<seed>-<time>."""
-    checkpoint_every: PositiveInt = 50_000
-    """Training steps between two checkpoints."""
+    checkpoint_every: PositiveInt = 10_000
+    """Training steps between two checkpoints, from which --resume continues exactly."""
     env_config: Mapping = {}
     """highway-env configuration, merged into the id's own."""
     continuous: ContinuousConfig | None = None
@@ -217,6 +219,10 @@ def load_config(name: str | Path) -> TrainConfig:
         raise UserError(f"config {path}: not readable as YAML: {error}") from error
     if not isinstance(values, dict):
         raise UserError(f"config {path}: expected keys and values, got {type(values).__name__}")
+    if (schema := values.pop("schema", SCHEMA)) != SCHEMA:
+        raise UserError(
+            f"config {path}: expected schema {SCHEMA}, got {schema!r}; it is of another esc-gym"
+        )
     try:
         return TrainConfig.model_validate(values)
     except ValidationError as error:
@@ -274,5 +280,5 @@ def _nearest(name: str, known: Any) -> str:
 
 def dump(config: TrainConfig) -> str:
     """YAML that ``load_config`` reads back to an equal configuration."""
-    values = config.model_dump(mode="json", exclude={"run_dir"})
+    values = {"schema": SCHEMA, **config.model_dump(mode="json", exclude={"run_dir"})}
     return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)

@@ -6,16 +6,19 @@ Worker processes import this module, which itself needs no torch.
 from __future__ import annotations
 
 import os
+import pickle
+import random
 import signal
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from math import cos
+from math import cos, isfinite
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
+from numpy.typing import NDArray
 
 from esc_agents.config import TrainConfig
 from esc_agents.errors import UserError
@@ -125,6 +128,94 @@ class SeededEpisodes(gym.Wrapper):
         return self.env.step(action)
 
 
+def generators() -> tuple[Any, Any]:
+    """The states of Python's and NumPy's generators of this process."""
+    return random.getstate(), np.random.get_state()  # noqa: NPY002 (SB3 draws from it)
+
+
+def set_generators(states: tuple[Any, Any]) -> None:
+    """Go on where ``generators`` was called."""
+    random.setstate(states[0])
+    np.random.set_state(states[1])  # noqa: NPY002
+
+
+class Worker(gym.Wrapper):
+    """The outermost wrapper of an environment that a vectorised one steps, perhaps elsewhere.
+
+    Gives and takes its whole state as bytes. What goes wrong, an exception or a number that is NaN
+    or infinite, is told as ``info["fault"]``, from then on: raised in a process of its own it would
+    only be lost.
+    """
+
+    def __init__(self, env: gym.Env) -> None:
+        super().__init__(env)
+        self.fault, self.episode, self.steps = "", -1, 0
+        self._last: Any = None
+
+    def state(self) -> bytes:
+        """Everything that the future depends on, the process's generators included."""
+        return pickle.dumps(
+            (self.env, self.episode, self.steps, generators()), pickle.HIGHEST_PROTOCOL
+        )
+
+    def restore(self, state: bytes) -> None:
+        """Go on where ``state`` was taken."""
+        self.env, self.episode, self.steps, found = pickle.loads(state)
+        set_generators(found)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
+        self.episode, self.steps = self.episode + 1, 0
+        try:
+            self._last, info = self.env.reset(seed=seed, options=options)
+            self._check(self._last, 0.0, info)
+            return self._last, info
+        except Exception as error:
+            self._note(error)
+            return self._rest(), {}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        if self.fault:
+            return self._rest(), 0.0, False, False, {"fault": self.fault}
+        self.steps += 1
+        try:
+            returned = self.env.step(action)
+            self._check(returned[0], float(returned[1]), returned[4])
+            self._last = returned[0]
+            return returned
+        except Exception as error:
+            self._note(error)
+            return self._rest(), 0.0, False, False, {"fault": self.fault}
+
+    def _note(self, error: Exception) -> None:
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        self.fault = f"episode {self.episode}, step {self.steps}: {kind}{error}"
+
+    def _rest(self) -> Any:
+        if self._last is not None:
+            return self._last
+        spaces: Any = self.observation_space
+        return {name: np.zeros(space.shape, space.dtype) for name, space in spaces.items()}
+
+    def _check(self, observation: Any, reward: float, info: dict[str, Any]) -> None:
+        for name in ("ego", "vehicles"):
+            finite = np.isfinite(observation[name])
+            if not finite.all():
+                first = np.argwhere(~finite)[0]
+                value = observation[name][tuple(first)]
+                raise ValueError(f"{self._place(name, first, info)} is {value}")
+        if not isfinite(reward):
+            raise ValueError(f"the reward is {reward}")
+
+    def _place(self, name: str, index: NDArray, info: dict[str, Any]) -> str:
+        spec = self.get_wrapper_attr("set_spec")
+        if name == "ego":
+            return f"{spec.ego_features[index[0]]!r} of the ego"
+        row, column = index
+        ids = info.get("set", {}).get("ids", ())
+        vehicle = f" (id {ids[row]})" if row < len(ids) else ""
+        return f"{spec.features[column]!r} of vehicle {row}{vehicle}"
+
+
 def env_config(config: TrainConfig) -> dict[str, Any]:
     """The highway-env configuration of a run: the scenario's, changed by ``continuous`` for SAC."""
     preset = config.continuous.env_config if config.algo == "sac" and config.continuous else {}
@@ -184,7 +275,7 @@ def make_env(
 
 
 class EnvFactory:
-    """Picklable ``make_env`` for SB3's vectorised environments."""
+    """Picklable ``make_env``, in a ``Worker``, for SB3's vectorised environments."""
 
     def __init__(self, config: TrainConfig, **options: Any) -> None:
         self.config, self.options, self.parent = config, options, os.getpid()
@@ -193,7 +284,7 @@ class EnvFactory:
         if os.getpid() != self.parent:
             # Ctrl-C reaches the whole process group; the parent decides when workers end.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-        return make_env(self.config, **self.options)
+        return Worker(make_env(self.config, **self.options))
 
 
 def factories(config: TrainConfig, count: int, **options: Any) -> list[Callable[[], gym.Env]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from esc_agents.errors import UserError
 from esc_agents.statistics import mean_interval, wilson_interval
 
 Policy = Callable[[dict[str, NDArray]], NDArray]
@@ -87,10 +89,18 @@ def evaluate(
     ended: dict[int, Episode] = {}
     while len(ended) < len(seeds) and not stop():
         observations, _, _, infos = envs.step(policy(observations))
+        check_faults(infos)
         for info in infos:
             if episode := info.get("episode"):
                 ended[episode["seed"]] = _episode(episode)
     return [ended[seed] for seed in seeds if seed in ended]
+
+
+def check_faults(infos: Sequence[dict[str, Any]], where: str = "evaluation") -> None:
+    """Raises UserError where an environment (``esc_agents.envs.Worker``) reports a fault."""
+    for index, info in enumerate(infos):
+        if fault := info.get("fault"):
+            raise UserError(f"{where}, environment {index}, {fault}")
 
 
 def _episode(info: dict[str, Any]) -> Episode:
@@ -98,6 +108,21 @@ def _episode(info: dict[str, Any]) -> Episode:
         reward=info["r"], length=info["l"], crashed=bool(info["crashed"]),
         **{name: info[name] for name in ("seed", "speed", "lane_changes", "vehicles", "min_ttc")},
     )  # fmt: skip
+
+
+def read_evaluations(path: Path) -> dict[str, NDArray]:
+    """The arrays of an evaluations.npz, each as long as ``timesteps``. Raises UserError."""
+    try:
+        with path.open("rb") as file, np.load(file) as saved:
+            arrays = {name: saved[name] for name in saved.files}
+        lengths = {len(values) for values in arrays.values()}
+        if lengths != {len(arrays["timesteps"])}:
+            raise ValueError(f"arrays of different lengths, {sorted(lengths)}")
+        return arrays
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # a damaged archive makes NumPy raise almost anything
+        raise UserError(f"{path} is damaged: {type(error).__name__}: {error}") from error
 
 
 def model_policy(model: Any) -> Policy:

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from esc_agents import run
-from esc_agents.callbacks import StopOnInterrupt
+from esc_agents.callbacks import StopOnSignal
 from esc_agents.errors import UserError
 from esc_agents.evaluate import Summary, as_rows, evaluate, model_policy
 from esc_agents.report import results_table, show
@@ -17,19 +17,19 @@ from esc_agents.video import film
 
 def evaluate_run(
     run_dir: Path, episodes: int, seed: int, shuffle: bool, video: Path | None, videos: int,
-    json_file: Path | None, device: str,
+    json_file: Path | None, device: str, trust: bool,
 ) -> Summary:  # fmt: skip
     """Evaluate the model of ``run_dir`` on ``episodes`` seeds from ``seed`` on; print the table.
 
     shuffle: permute the vehicles of every observation. video: folder for GIFs of the first
-    ``videos`` episodes. json_file: for summary and episodes.
+    ``videos`` episodes. json_file: for summary and episodes. trust: load a pickle if need be.
     """
     config = run.open_run(run_dir).model_copy(update={"device": device})
-    model = load_model(config, run_dir)
+    model, steps = load_model(config, run_dir, trust)
     _check_outputs(video, json_file)
     envs = vectorise(config, min(config.n_envs, episodes), evaluation=True, shuffle=shuffle)
     try:
-        with StopOnInterrupt() as stop:
+        with StopOnSignal() as stop:
             seeds = range(seed, seed + episodes)
             drives = evaluate(envs, model_policy(model), seeds, lambda: stop.interrupted)
     finally:
@@ -38,7 +38,7 @@ def evaluate_run(
         raise KeyboardInterrupt
     summary = Summary.of(drives)
     name = f"{config.repr}, shuffled" if shuffle else config.repr
-    title = f"{config.env}, {config.algo}, {model.num_timesteps:,} steps; "
+    title = f"{config.env}, {config.algo}, {steps:,} steps; "
     title += f"episodes: {episodes} from seed {seed}"
     show(results_table(title, {name: summary}))
     if json_file:

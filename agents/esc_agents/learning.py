@@ -26,7 +26,7 @@ from esc_agents import run
 from esc_agents.cli import guarded, parse
 from esc_agents.config import TrainConfig, load_config, scenarios
 from esc_agents.errors import UserError
-from esc_agents.evaluate import Summary
+from esc_agents.evaluate import Summary, read_evaluations
 from esc_agents.report import markdown
 from esc_agents.statistics import mean_interval
 from esc_agents.train import say
@@ -66,10 +66,11 @@ class Run:
     def read(cls, path: Path) -> Run:
         """Raises UserError where ``path`` holds no finished run."""
         config = run.open_run(path)
+        run.verify(path, "results.json", "evaluations.npz", "metrics.csv", "versions.json")
         try:
             results = _summaries(json.loads((path / "results.json").read_text(encoding="utf-8")))
-            with np.load(path / "evaluations.npz") as saved:
-                curve = saved["timesteps"], saved["results"]
+            saved = read_evaluations(path / "evaluations.npz")
+            curve = saved["timesteps"], saved["results"]
             with (path / "metrics.csv").open(newline="", encoding="utf-8") as file:
                 metrics = list(csv.DictReader(file))
             versions = json.loads((path / "versions.json").read_text(encoding="utf-8"))

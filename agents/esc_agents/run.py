@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import importlib.metadata
 import io
 import json
@@ -12,14 +13,18 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from esc_agents.config import TrainConfig, dump, load_config
 from esc_agents.errors import UserError
 
+CHECKSUMS = "SHA256SUMS"
 STEP = "time/total_timesteps"
 PACKAGES = ("esc-gym", "highway-env", "gymnasium", "stable-baselines3", "torch", "numpy")
 
@@ -35,6 +40,12 @@ def write_atomically(path: Path, write: Callable[[Any], object]) -> None:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+    if hasattr(os, "O_DIRECTORY"):  # the new name, too, has to survive a power cut
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -90,8 +101,24 @@ def check_free(path: Path) -> None:
         raise UserError(f"run directory {path}: no directory can be made in {parent}")
 
 
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Keeps other processes out of a run directory. Raises UserError where one is in it."""
+    lock = FileLock(path / ".lock")
+    try:
+        with lock.acquire(timeout=0):
+            for left in path.rglob(".*.tmp"):  # of a process that was killed while it wrote
+                left.unlink(missing_ok=True)
+            yield
+    except Timeout as error:
+        raise UserError(f"{path} is in use by another process; wait until it has ended") from error
+    except PermissionError as error:
+        raise UserError(f"{path}: {error.strerror}: {error.filename}") from error
+
+
 def note_session(path: Path, config: TrainConfig) -> None:
     """Keep what this session, the first or one that resumes, is to do, and add its command."""
+    (path / CHECKSUMS).unlink(missing_ok=True)  # they are of a session that has ended
     write_text(path / "config.yaml", f"# esc-train --config {path}/config.yaml\n{dump(config)}")
     commands = path / "command.txt"
     before = commands.read_text(encoding="utf-8") if commands.is_file() else ""
@@ -102,15 +129,40 @@ def open_run(path: Path) -> TrainConfig:
     """The configuration of an existing run."""
     if not (path / "config.yaml").is_file():
         raise UserError(f"{path} is no run directory: expected a config.yaml in it")
+    verify(path, "config.yaml")
     return load_config(path / "config.yaml")
 
 
-def latest_model(path: Path) -> Path:
-    """The newest saved model of a run: the one it ended with, or its last checkpoint."""
-    found = [*(path / "checkpoints").glob("*.zip"), *path.glob("model.zip")]
-    if not found:
-        raise UserError(f"{path} holds no model yet: expected model.zip or checkpoints/*.zip")
-    return max(found, key=lambda file: file.stat().st_mtime)
+def write_checksums(path: Path) -> None:
+    """SHA256SUMS over the files of a run that ended, as ``sha256sum -c`` reads it."""
+    files = [file for file in sorted(path.iterdir()) if file.is_file() and file.name[0] != "."]
+    lines = [f"{_sha256(file)}  {file.name}\n" for file in files if file.name != CHECKSUMS]
+    write_text(path / CHECKSUMS, "".join(lines))
+
+
+def verify(path: Path, *names: str) -> None:
+    """Raises UserError where a file is not what it was when the run ended."""
+    try:
+        text = (path / CHECKSUMS).read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError):
+        return  # not ended
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{path / CHECKSUMS} is not readable: {error}") from error
+    sums = {name: digest for digest, _, name in (row.partition("  ") for row in text.splitlines())}
+    for name in names:
+        if name in sums and sums[name] != _sha256(path / name):
+            raise UserError(
+                f"{path / name} does not match its checksum in {CHECKSUMS}: it was damaged, or "
+                "changed after the run"
+            )
+
+
+def _sha256(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror}") from error
 
 
 def versions() -> dict[str, str]:
@@ -137,13 +189,18 @@ class MetricsFile:
         self.path = path
         self.rows: list[dict[str, Any]] = []
         if path.is_file():
-            with path.open(newline="", encoding="utf-8") as file:
+            # What is not text is in a line that a crash cut off, and such lines are left out.
+            with path.open(newline="", encoding="utf-8", errors="replace") as file:
                 rows = [r for r in csv.DictReader(file) if (r.get(STEP) or "").isdigit()]
             self.rows = [row for row in rows if int(row[STEP]) <= first_step]
             self._rewrite()
 
     def write(self, row: dict[str, Any]) -> None:
-        """Append a row; a new column rewrites the file."""
+        """Append a row, or add to the last one where it is of the same step."""
+        if self.rows and str(self.rows[-1][STEP]) == str(row[STEP]):
+            self.rows[-1].update(row)
+            self._rewrite()
+            return
         known = self.rows[0].keys() if self.rows else ()
         self.rows.append({**dict.fromkeys(known, ""), **row})
         if len(self.rows[-1]) > len(known):

@@ -5,7 +5,10 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +17,25 @@ import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
+from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+from torch.utils.tensorboard import SummaryWriter
 
-from esc_agents import run
+from esc_agents import checkpoint, run
 from esc_agents.callbacks import (
     Checkpoints,
     DrivingLog,
+    Faults,
     FixedSeedEvaluation,
     MetricsWriter,
-    StopOnInterrupt,
+    StopOnSignal,
+    Stopped,
 )
 from esc_agents.config import TrainConfig, check_env_id
 from esc_agents.envs import check_actions, factories, make_env
 from esc_agents.errors import UserError
 from esc_agents.evaluate import Summary, as_rows, blind_policies, evaluate, model_policy
+from esc_agents.policies import load_policy, save_policy
 from esc_agents.report import results_table, show
 from esc_gym.encoders import representation
 from esc_gym.extractors import SetExtractor
@@ -148,117 +156,222 @@ def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
         raise UserError(f"{config.algo}: buffer_size, n_steps or n_envs: {error}") from error
 
 
-def train(config: TrainConfig, *, resume: Path | None = None) -> bool:
-    """Train as ``config`` says; prints the results. False where Ctrl-C ended it early.
+def train(config: TrainConfig, *, resume: Path | None = None, trust: bool = False) -> bool:
+    """Train as ``config`` says; prints the results. False where a signal ended it early.
 
-    resume: an existing run directory to continue; its weights and step count go on, environments
-    and random generators start afresh.
+    resume: an existing run directory, which goes on from its last checkpoint as if it had never
+    stopped. trust: also from a checkpoint that somebody else wrote, which can run their code.
     """
     directory = resume or config.run_dir or run.default_run_dir(config)
-    if not resume:
-        run.check_free(directory)
-    probe = check(config)
-    model = _load(config, directory) if resume else None
-    envs = vectorise(config, config.n_envs)
-    judges = vectorise(config, min(config.n_envs, config.evaluation.episodes), evaluation=True)
-    try:
-        if model:
-            model.set_env(envs)
-            run.note_session(directory, config)
+    with ExitStack() as stack:
+        if resume:
+            _check_unfinished(config, resume)
+            stack.enter_context(run.locked(resume))
         else:
-            model = new_model(config, envs)
+            run.check_free(directory)
+        probe = check(config)
+        envs, judges = (stack.enter_context(closing(made)) for made in _vectorised(config))
+        model, found = _model(config, envs, resume, trust)
+        if resume:
+            run.note_session(resume, config)
+        else:
             run.create(directory, config, wrapper_json(probe), str(model.device))
+            stack.enter_context(run.locked(directory))
+        training = Training(config, directory, model, probe, judges)
         say(describe(config, model, probe, directory))
-        with StopOnInterrupt() as stop:
-            _learn(config, model, directory, judges, stop)
+        try:
+            return training.run(found)
+        except (EOFError, ConnectionError) as error:
+            raise UserError(
+                "the process of an environment died: killed, or out of memory; continue with "
+                f"esc-train --resume {directory}"
+            ) from error
+
+
+def _vectorised(config: TrainConfig) -> Iterator[VecEnv]:
+    """Environments to train in, and to evaluate in."""
+    yield vectorise(config, config.n_envs)
+    yield vectorise(config, min(config.n_envs, config.evaluation.episodes), evaluation=True)
+
+
+def _check_unfinished(config: TrainConfig, directory: Path) -> None:
+    found = checkpoint.in_order(directory / "checkpoints")
+    steps = int(found[-1].stem) if found else 0
+    if steps >= config.steps and (directory / "results.json").exists():
+        raise UserError(
+            f"{directory} has {steps:,} of {config.steps:,} steps already; ask for more with "
+            "--steps"
+        )
+
+
+def load_model(config: TrainConfig, directory: Path, trust: bool = False) -> tuple[Any, int]:
+    """(policy, training steps) of a run: what it ended with, else its best evaluated.
+
+    From the files that hold no code; where there are none, with ``trust`` from SB3's model.zip.
+    """
+    check_device(config.device)
+    torch.set_num_threads(config.threads)
+    device = str(get_device(config.device))
+    for name in ("policy", "best_policy"):
+        if (directory / f"{name}.json").exists():
+            return load_policy(directory, device, name)
+    path = directory / "model.zip"
+    if not path.exists():
+        raise UserError(f"{directory} holds no policy yet: expected policy.safetensors in it")
+    if not trust:
+        raise UserError(
+            f"{path} holds pickled Python objects, and to load it can run code of whoever wrote "
+            "it; add --trust if you trust them"
+        )
+    try:
+        model = ALGORITHMS[config.algo].load(path, device=config.device)
+    except Exception as error:
+        raise UserError(f"{path} is damaged or of another version: {error}") from error
+    say(f"Loaded {path}, which holds pickled Python objects")
+    return model, model.num_timesteps
+
+
+def _model(
+    config: TrainConfig, envs: VecEnv, resume: Path | None, trust: bool
+) -> tuple[BaseAlgorithm, dict[str, Any] | None]:
+    """(a new model, None), or what ``checkpoint.restore`` makes of a run's newest checkpoint."""
+    state = newest_state(resume, trust) if resume else None
+    if state is None:
+        return new_model(config, envs), None
+    torch.set_num_threads(config.threads)
+    try:
+        return checkpoint.restore(state, ALGORITHMS[config.algo], envs)
+    except Exception as error:  # what unpickling old classes can raise is anybody's guess
+        raise UserError(
+            f"the checkpoint of {resume} does not load with the versions installed here (those of "
+            f"the run are in versions.json): {type(error).__name__}: {error}"
+        ) from error
+
+
+def newest_state(directory: Path, trust: bool) -> bytes | None:
+    """The newest whole checkpoint of a run; damaged ones are named. None before the first one."""
+    paths = checkpoint.in_order(directory / "checkpoints")
+    if not paths:
+        say(f"{directory} holds no checkpoint yet: it starts from the beginning")
+        return None
+    for path in reversed(paths):
+        try:
+            state = checkpoint.read(path, trust)
+        except checkpoint.Damaged as damaged:
+            say(f"{damaged}; the one before it is taken")
+            continue
+        say(f"Continuing from {path}")
+        return state
+    raise UserError(
+        f"{directory} holds no whole checkpoint; start it anew, in another directory, with the "
+        f"command in {directory / 'command.txt'}"
+    )
+
+
+@contextmanager
+def closing(envs: VecEnv) -> Iterator[VecEnv]:
+    """Closes environments at the end, also where one of their processes is dead."""
+    try:
+        yield envs
+    finally:
+        try:
+            envs.close()
+        except (EOFError, OSError):
+            for process in getattr(envs, "processes", ()):
+                process.terminate()
+
+
+class Training:
+    """A run from where ``model`` stands to its results."""
+
+    def __init__(
+        self, config: TrainConfig, directory: Path, model: BaseAlgorithm, probe: gym.Env,
+        judges: VecEnv,
+    ) -> None:  # fmt: skip
+        self.config, self.directory, self.model = config, directory, model
+        self.probe, self.judges = probe, judges
+        self.save_policy = partial(
+            save_policy, directory, model, config, _arguments(config), wrapper_json(probe)
+        )
+
+    def run(self, found: dict[str, Any] | None) -> bool:
+        """Train, evaluate, write and print. found: of ``checkpoint.restore``, None at the start."""
+        config, directory, model = self.config, self.directory, self.model
+        with StopOnSignal() as stop:
+            self._learn(found, stop)
             run.write_atomically(directory / "model.zip", model.save)
-            results = _results(config, model, judges, probe, stop)
+            self.save_policy("policy")
+            results = self._results(stop)
+        run.write_checksums(directory)
         if stop.interrupted:
-            done = model.num_timesteps >= config.steps
-            command = "esc-eval" if done else "esc-train --resume"
-            say(f"Interrupted after {model.num_timesteps:,} steps; the model is saved.")
-            say(f"{'Evaluate it' if done else 'Continue'} with: {command} {directory}")
+            say(f"Stopped after {model.num_timesteps:,} steps; the model is saved.")
+            say(f"Continue with: esc-train --resume {directory}")
             return False
         run.write_json(directory / "results.json", as_rows(results))
+        run.write_checksums(directory)
         title = f"{config.env}, {config.repr}, {config.algo}, {model.num_timesteps:,} steps"
         show(results_table(f"{title}; episodes: {config.evaluation.episodes}", results))
         say(f"Run directory: {directory}")
         return True
-    finally:
-        envs.close()
-        judges.close()
 
+    def _learn(self, found: dict[str, Any] | None, stop: StopOnSignal) -> None:
+        config, model, directory = self.config, self.model, self.directory
+        begun = model.num_timesteps
+        tensorboard = TensorBoardOutputFormat(str(directory / "tensorboard"))
+        # Of what was logged between the checkpoint and the stop, TensorBoard shows nothing.
+        tensorboard.writer = SummaryWriter(str(directory / "tensorboard"), purge_step=begun + 1)
+        metrics = MetricsWriter(directory / "metrics.csv", begun)
+        model.set_logger(Logger(str(directory), [metrics, tensorboard]))
+        every = config.evaluation.every or max(1000, config.steps // 5)
+        evaluation = FixedSeedEvaluation(self.judges, seeds(config), every, directory)
+        evaluation.stopped = lambda: stop.interrupted
+        evaluation.save_best = partial(self.save_policy, "best_policy")
+        folder = directory / "checkpoints"
+        saved = Checkpoints(folder, config.checkpoint_every, lambda: stop.interrupted, say)
+        faults = Faults(config)
+        saved.callbacks = callbacks = [faults, DrivingLog(), evaluation, saved]
+        if found:
+            checkpoint.resume(model, found, callbacks)
+        try:
+            if begun < config.steps:
+                model.learn(
+                    config.steps - begun, callback=list(callbacks), reset_num_timesteps=False,
+                    progress_bar=sys.stderr.isatty(),
+                )  # fmt: skip
+                model.logger.dump(model.num_timesteps)
+                saved.model = model
+                saved.save()
+        except Stopped:
+            pass
+        except ValueError:
+            faults.check_weights()  # if they are the reason, of which torch says only what it saw
+            raise
+        finally:
+            saved.writer.wait()
+            model.logger.close()
 
-def load_model(config: TrainConfig, directory: Path) -> BaseAlgorithm:
-    """The newest saved model of a run, without environments."""
-    check_device(config.device)
-    torch.set_num_threads(config.threads)
-    path = run.latest_model(directory)
-    try:
-        return ALGORITHMS[config.algo].load(path, device=config.device)
-    except Exception as error:
-        raise UserError(f"{path} is damaged or of another version: {error}") from error
-
-
-def _load(config: TrainConfig, directory: Path) -> BaseAlgorithm:
-    model = load_model(config, directory)
-    if model.num_timesteps >= config.steps:
-        raise UserError(
-            f"{directory} has {model.num_timesteps:,} of {config.steps:,} steps already; "
-            "ask for more with --steps"
-        )
-    return model
-
-
-def _learn(
-    config: TrainConfig,
-    model: BaseAlgorithm,
-    directory: Path,
-    judges: VecEnv,
-    stop: StopOnInterrupt,
-) -> None:
-    writers = [
-        MetricsWriter(directory / "metrics.csv", model.num_timesteps),
-        TensorBoardOutputFormat(str(directory / "tensorboard")),
-    ]
-    model.set_logger(Logger(str(directory), writers))
-    evaluation = FixedSeedEvaluation(
-        judges, seeds(config), config.evaluation.every or max(1000, config.steps // 5), directory
-    )
-    evaluation.stopped = lambda: stop.interrupted
-    checkpoints = Checkpoints(directory / "checkpoints", config.checkpoint_every)
-    model.learn(
-        config.steps - model.num_timesteps,
-        callback=[stop, DrivingLog(), evaluation, checkpoints],
-        reset_num_timesteps=False,
-        progress_bar=sys.stderr.isatty(),
-    )
-    model.logger.dump(model.num_timesteps)
-    model.logger.close()
+    def _results(self, stop: StopOnSignal) -> dict[str, Summary]:
+        """The trained policy and the blind ones on the same episodes."""
+        config, judges = self.config, self.judges
+        names = action_names(self.probe)
+        space, seed = self.probe.action_space, config.evaluation.seed
+        blind = blind_policies(space, judges.num_envs, names, seed)
+        policies = {config.repr: model_policy(self.model), **blind}
+        results = {}
+        if not stop.interrupted:
+            say(f"Evaluating {config.repr} beside {len(blind)} blind policies ...")
+        for name, policy in policies.items():
+            if stop.interrupted:
+                break
+            episodes = evaluate(judges, policy, seeds(config), lambda: stop.interrupted)
+            if episodes:
+                results[name] = Summary.of(episodes)
+        return results
 
 
 def seeds(config: TrainConfig) -> range:
     """Seeds of the evaluation's episodes."""
     return range(config.evaluation.seed, config.evaluation.seed + config.evaluation.episodes)
-
-
-def _results(
-    config: TrainConfig, model: BaseAlgorithm, judges: VecEnv, probe: gym.Env, stop: StopOnInterrupt
-) -> dict[str, Summary]:
-    """The trained policy and the blind ones on the same episodes."""
-    names = action_names(probe)
-    blind = blind_policies(probe.action_space, judges.num_envs, names, config.evaluation.seed)
-    policies = {config.repr: model_policy(model), **blind}
-    results = {}
-    if not stop.interrupted:
-        say(f"Evaluating {config.repr} beside {len(blind)} blind policies ...")
-    for name, policy in policies.items():
-        if stop.interrupted:
-            break
-        episodes = evaluate(judges, policy, seeds(config), lambda: stop.interrupted)
-        if episodes:
-            results[name] = Summary.of(episodes)
-    return results
 
 
 def action_names(env: Any) -> dict[int, str]:

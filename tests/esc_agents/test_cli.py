@@ -52,7 +52,7 @@ def test_train_from_start_to_end(call, tmp_path):
 def parsed(monkeypatch, *args):
     """The configuration that a command line leads to."""
     configs = []
-    monkeypatch.setattr("esc_agents.train.train", lambda config, resume: configs.append(config))
+    monkeypatch.setattr("esc_agents.train.train", lambda config, **options: configs.append(config))
     train_cli.command([str(arg) for arg in args])
     return configs[0]
 

@@ -28,7 +28,9 @@ def test_shipped_scenarios_load(name):
     assert f"esc_gym/{config.env}" in ENV_IDS
     assert path.read_text().startswith(f"# esc-train --config {name} ")
     # What a file says is what comes out, whatever the defaults.
-    for key, value in yaml.safe_load(path.read_text()).items():
+    values = yaml.safe_load(path.read_text())
+    assert values.pop("schema") == 1
+    for key, value in values.items():
         if not isinstance(value, dict):
             assert getattr(config, key) == value
 
@@ -73,6 +75,8 @@ def test_dump_reads_back_equal(config, tmp_path):
         ("steps: 0", "steps: .*greater than 0, got 0"),
         ("observation: {max_vehicles: 0}", "observation.max_vehicles: .*greater than 0, got 0"),
         ("seed: 4294967296", "seed: .*less than 4294967296"),
+        ("ppo: {gamma: 1.5}", "ppo.gamma: .*less than or equal to 1, got 1.5"),
+        ("n_envs: -1", "n_envs: .*greater than 0, got -1"),
         ("ppo: {learning_rate: .inf}", "ppo.learning_rate: .*finite"),
         ("env_config: 3", "env_config: .*dictionary, got 3"),
         ("algo: dqn", "algo: .*'ppo' or 'sac', got 'dqn'"),
@@ -126,3 +130,10 @@ def test_env_that_is_none():
 def test_configurations_do_not_change():
     with pytest.raises(ValueError, match="frozen"):
         TrainConfig().steps = 3  # type: ignore[misc]
+
+
+def test_files_of_another_schema_are_refused(tmp_path):
+    assert load("steps: 5", tmp_path).steps == 5
+    with pytest.raises(UserError, match="expected schema 1, got 2; it is of another esc-gym"):
+        load("schema: 2\nsteps: 5", tmp_path)
+    assert dump(TrainConfig()).startswith("schema: 1\n")

@@ -69,13 +69,36 @@ def test_outputs_are_checked_before_the_drive(ppo_run, args, message, tmp_path, 
 
 
 def test_damaged_run(own_run):
-    (own_run / "model.zip").write_bytes(b"")
-    with pytest.raises(UserError, match="damaged"):
+    (own_run / "policy.safetensors").write_bytes(b"")
+    with pytest.raises(UserError, match=r"policy.safetensors does not match the checksum"):
         command([str(own_run)])
-    for file in [own_run / "model.zip", *(own_run / "checkpoints").iterdir()]:
+    for file in own_run.glob("*policy.*"):
         file.unlink()
-    with pytest.raises(UserError, match="holds no model yet"):
+    with pytest.raises(UserError, match=r"model.zip holds pickled .* add --trust"):
+        command([str(own_run)])
+    (own_run / "model.zip").write_bytes(b"")
+    with pytest.raises(UserError, match=r"model.zip is damaged"):
+        command([str(own_run), "--trust"])
+    (own_run / "model.zip").unlink()
+    with pytest.raises(UserError, match="holds no policy yet"):
         command([str(own_run)])
     (own_run / "config.yaml").write_text("steps: [")
+    with pytest.raises(UserError, match=r"config.yaml does not match its checksum"):
+        command([str(own_run)])
+    (own_run / "SHA256SUMS").unlink()
     with pytest.raises(UserError, match="not readable as YAML"):
         command([str(own_run)])
+
+
+def test_the_best_policy_where_the_run_has_not_ended(own_run, capsys):
+    (own_run / "policy.json").unlink()
+    report(own_run, "--episodes", "1")
+    steps = json.loads((own_run / "best_policy.json").read_text())["steps"]
+    assert f"ppo, {steps} steps" in capsys.readouterr().out
+
+
+def test_a_trusted_zip_drives_the_same(own_run):
+    safe = report(own_run, "--episodes", "2")
+    for file in own_run.glob("*policy.*"):
+        file.unlink()
+    assert report(own_run, "--episodes", "2", "--trust") == safe

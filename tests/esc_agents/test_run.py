@@ -56,6 +56,13 @@ def test_metrics_append_and_grow_columns(tmp_path):
     ]
 
 
+def test_one_row_for_a_step(tmp_path):
+    metrics = MetricsFile(tmp_path / "metrics.csv")
+    metrics.write({STEP: 1, "a": 0.5})
+    metrics.write({STEP: 1, "b": 2})
+    assert read(tmp_path / "metrics.csv") == [{STEP: "1", "a": "0.5", "b": "2"}]
+
+
 def test_metrics_go_on_after_the_step_that_was_saved(tmp_path):
     path = tmp_path / "metrics.csv"
     first = MetricsFile(path)
@@ -111,14 +118,28 @@ def test_no_write_permission(tmp_path):
         run.create(tmp_path / "run", tiny(), {})
 
 
-def test_the_latest_model_is_the_one_written_last(tmp_path):
-    path = run.create(tmp_path / "run", tiny(), {})
-    with pytest.raises(UserError, match="no model yet"):
-        run.latest_model(path)
-    for age, name in ((30, "checkpoints/1.zip"), (10, "model.zip"), (20, "checkpoints/2.zip")):
-        (path / name).touch()
-        os.utime(path / name, (1e9 - age, 1e9 - age))
-    assert run.latest_model(path) == path / "model.zip"
+def test_checksums_are_those_of_sha256sum(tmp_path):
+    (tmp_path / "a.txt").write_text("abc")
+    (tmp_path / "folder").mkdir()
+    run.write_checksums(tmp_path)
+    digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-2, B.1
+    assert (tmp_path / "SHA256SUMS").read_text() == f"{digest}  a.txt\n"
+    run.verify(tmp_path, "a.txt", "another that is not listed")
+    (tmp_path / "a.txt").write_text("abd")
+    with pytest.raises(UserError, match=r"a.txt does not match its checksum in SHA256SUMS"):
+        run.verify(tmp_path, "a.txt")
+
+
+def test_a_directory_in_use(tmp_path):
+    left = tmp_path / "checkpoints" / ".model.zip.123.tmp"
+    left.parent.mkdir()
+    left.touch()
+    with run.locked(tmp_path):
+        assert not left.exists()  # of a process that was killed
+        with pytest.raises(UserError, match="is in use by another process"), run.locked(tmp_path):
+            pass
+    with run.locked(tmp_path):
+        pass
 
 
 def test_default_directories_name_the_run():

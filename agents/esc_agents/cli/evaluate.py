@@ -34,6 +34,8 @@ class EvaluateArguments(BaseModel):
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
     """File for the results and every episode."""
     device: str = "auto"
+    trust: bool = False
+    """Load model.zip where there is no policy.safetensors: it can run code of whoever wrote it."""
 
 
 def main() -> None:

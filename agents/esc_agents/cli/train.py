@@ -23,10 +23,12 @@ class TrainArguments(TrainConfig):
     config: str | None = None
     """YAML file, or name of a shipped scenario, with the values of all other flags."""
     resume: Path | None = None
-    """Run directory to continue; beside it only --steps and --device are taken."""
+    """Run directory to continue; beside it only --steps and --trust are taken."""
+    trust: bool = False
+    """Continue from a checkpoint of somebody else, which can run their code."""
 
 
-RESUMABLE = {"steps", "device", "resume"}
+RESUMABLE = {"steps", "resume", "trust"}
 
 
 def main() -> None:
@@ -43,12 +45,12 @@ def command(args: list[str]) -> int:
         before, after = base.model_dump(), arguments.model_dump()
         if changed := [key for key in before if before[key] != after[key] and key not in RESUMABLE]:
             raise UserError(
-                f"--resume continues a run as it was: expected only --steps and --device beside "
+                f"--resume continues a run as it was: expected only --steps and --trust beside "
                 f"it, got {', '.join(changed)}"
             )
     from esc_agents.train import train  # torch loads once the arguments are right
 
-    return 0 if train(config, resume=arguments.resume) else 130
+    return 0 if train(config, resume=arguments.resume, trust=arguments.trust) else 130
 
 
 def _base(args: list[str]) -> TrainArguments:
@@ -74,7 +76,8 @@ def _base(args: list[str]) -> TrainArguments:
 def _config(arguments: TrainArguments, base: TrainArguments) -> TrainConfig:
     """The run's configuration: ``arguments`` with scenario names resolved to ids."""
     values = dict(arguments)
-    del values["config"], values["resume"]
+    for name in ("config", "resume", "trust"):
+        del values[name]
     # --env-config adds to the scenario's configuration, and also beats what SAC changes in it.
     given = arguments.env_config if arguments.env_config != base.env_config else {}
     values["env_config"] = merge(base.env_config, given)
