@@ -36,7 +36,7 @@ class _Described(BaseModel):
 
 
 class BoxSpace(_Described):
-    """gymnasium.spaces.Box of float32; bounds as they are, or one number where all are equal."""
+    """gymnasium.spaces.Box of float32; bounds without leading axes along which they are equal."""
 
     type: Literal["box"] = "box"
     shape: tuple[int, ...]
@@ -167,4 +167,6 @@ def _set_weights(policy: BasePolicy, weights: dict[str, Tensor]) -> None:
 
 def _bound(values: ArrayLike) -> Any:
     array = np.asarray(values)
-    return array.flat[0].item() if (array == array.flat[0]).all() else array.tolist()
+    while array.ndim and (array == array[:1]).all():
+        array = array[0]
+    return array.tolist()
