@@ -186,6 +186,11 @@ def train(config: TrainConfig, *, resume: Path | None = None, trust: bool = Fals
                 "the process of an environment died: killed, or out of memory; continue with "
                 f"esc-train --resume {directory}"
             ) from error
+        except OSError as error:  # the disk is full, above all
+            raise UserError(
+                f"{error.filename or directory}: {error.strerror}; what was written before is "
+                f"whole; once that is mended, continue with esc-train --resume {directory}"
+            ) from error
 
 
 def _vectorised(config: TrainConfig) -> Iterator[VecEnv]:

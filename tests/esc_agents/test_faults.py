@@ -184,6 +184,24 @@ def test_a_directory_that_cannot_be_written(own_run, monkeypatch):
         train(config, resume=own_run)
 
 
+def test_a_disk_that_is_full_at_the_end(ppo_run, tmp_path, monkeypatch):
+    config = tiny(run_dir=tmp_path / "run")
+    real = run.write_atomically
+
+    def full(path, fill):
+        if path.name == "model.zip":
+            raise OSError(28, "No space left on device", str(path))
+        real(path, fill)
+
+    monkeypatch.setattr(run, "write_atomically", full)
+    with pytest.raises(UserError, match=r"model.zip: No space left on device; .*--resume"):
+        train(config)
+    monkeypatch.undo()
+    assert train(run.open_run(tmp_path / "run"), resume=tmp_path / "run")
+    for name in ("policy.safetensors", "metrics.csv"):
+        assert (tmp_path / "run" / name).read_bytes() == (ppo_run / name).read_bytes()
+
+
 def test_policies_of_another_kind(own_run):
     described = own_run / "policy.json"
     values = json.loads(described.read_text())
