@@ -106,14 +106,15 @@ def locked(path: Path) -> Iterator[None]:
     """Keeps other processes out of a run directory. Raises UserError where one is in it."""
     lock = FileLock(path / ".lock")
     try:
-        with lock.acquire(timeout=0):
-            for left in path.rglob(".*.tmp"):  # of a process that was killed while it wrote
-                left.unlink(missing_ok=True)
-            yield
+        lock.acquire(timeout=0)
     except Timeout as error:
         raise UserError(f"{path} is in use by another process; wait until it has ended") from error
-    except PermissionError as error:
-        raise UserError(f"{path}: {error.strerror}: {error.filename}") from error
+    try:
+        for left in path.rglob(".*.tmp"):  # of a process that was killed while it wrote
+            left.unlink(missing_ok=True)
+        yield
+    finally:
+        lock.release()
 
 
 def note_session(path: Path, config: TrainConfig) -> None:

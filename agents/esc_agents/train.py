@@ -163,7 +163,7 @@ def train(config: TrainConfig, *, resume: Path | None = None, trust: bool = Fals
     stopped. trust: also from a checkpoint that somebody else wrote, which can run their code.
     """
     directory = resume or config.run_dir or run.default_run_dir(config)
-    with ExitStack() as stack:
+    with _said(directory), ExitStack() as stack:
         if resume:
             _check_unfinished(config, resume)
             stack.enter_context(run.locked(resume))
@@ -179,18 +179,24 @@ def train(config: TrainConfig, *, resume: Path | None = None, trust: bool = Fals
             stack.enter_context(run.locked(directory))
         training = Training(config, directory, model, probe, judges)
         say(describe(config, model, probe, directory))
-        try:
-            return training.run(found)
-        except (EOFError, ConnectionError) as error:
-            raise UserError(
-                "the process of an environment died: killed, or out of memory; continue with "
-                f"esc-train --resume {directory}"
-            ) from error
-        except OSError as error:  # the disk is full, above all
-            raise UserError(
-                f"{error.filename or directory}: {error.strerror}; what was written before is "
-                f"whole; once that is mended, continue with esc-train --resume {directory}"
-            ) from error
+        return training.run(found)
+
+
+@contextmanager
+def _said(directory: Path) -> Iterator[None]:
+    """What disks and processes do to a run, as UserErrors."""
+    try:
+        yield
+    except (EOFError, ConnectionError) as error:
+        raise UserError(
+            "the process of an environment died: killed, or out of memory; continue with "
+            f"esc-train --resume {directory}"
+        ) from error
+    except OSError as error:  # full, or not ours to write
+        raise UserError(
+            f"{error.filename or directory}: {error.strerror}; what was written before is whole; "
+            f"once that is mended, continue with esc-train --resume {directory}"
+        ) from error
 
 
 def _vectorised(config: TrainConfig) -> Iterator[VecEnv]:
