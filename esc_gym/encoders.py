@@ -58,20 +58,26 @@ class SetEncoder(nn.Module):
         _check_positive(code_dim=self.code_dim)
         self.features_dim = self.code_dim + ego_dim
 
-    def forward(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
-        """vehicles [B, N, d1], mask [B, N] (nonzero = real), ego [B, d2] -> [B, d3 + d2]."""
+    def forward(self, vehicles: Tensor, mask: Tensor | None, ego: Tensor) -> Tensor:
+        """vehicles [B, N, d1], mask [B, N] (nonzero = real), ego [B, d2] -> [B, d3 + d2].
+
+        Without padding the mask can be None: then no shape depends on values, and torch.func.vmap
+        and CUDA graphs can be used.
+        """
         self._check(vehicles, mask, ego)
-        return torch.cat([self.encode(vehicles, mask != 0, ego), ego], dim=1)
+        real = _all_real(vehicles) if mask is None else mask != 0
+        return torch.cat([self.encode(vehicles, real, ego), ego], dim=1)
 
     def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
         """The set code [B, d3]; mask is bool. Padding may hold anything."""
         raise NotImplementedError(f"{type(self).__name__} has to define encode()")
 
-    def _check(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> None:
-        batch, rows = tuple(mask.shape) if mask.dim() == 2 else ("B", "N")
+    def _check(self, vehicles: Tensor, mask: Tensor | None, ego: Tensor) -> None:
+        like, dims = (vehicles, 3) if mask is None else (mask, 2)
+        batch, rows = tuple(like.shape[:2]) if like.dim() == dims else ("B", "N")
         expected = {
             "vehicles": (vehicles, (batch, rows, self.vehicle_dim)),
-            "mask": (mask, (batch, rows)),
+            "mask": (like[..., 0] if mask is None else mask, (batch, rows)),
             "ego": (ego, (batch, self.ego_dim)),
         }
         for name, (tensor, shape) in expected.items():
@@ -102,11 +108,24 @@ def hidden_layers(inputs: int, hidden: Sequence[int]) -> nn.Sequential:
     return layers
 
 
+def _all_real(vehicles: Tensor) -> Tensor:
+    """The mask of sets without padding: one number, repeated without being stored [B, N]."""
+    return torch.ones((), dtype=torch.bool, device=vehicles.device).expand(vehicles.shape[:2])
+
+
+def _is_all_real(mask: Tensor) -> bool:
+    """Whether a mask is that of ``_all_real``, which is known without looking at its values."""
+    return mask.stride() == (0, 0)
+
+
 def _pack(vehicles: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
     """All real rows of a batch [sum M, d1], and the set that each belongs to [sum M].
 
     Padding is left out before it is computed: cheaper, and nothing in it can leak.
     """
+    if _is_all_real(mask):
+        sets = torch.arange(len(vehicles), device=vehicles.device)
+        return vehicles.flatten(0, 1), sets.repeat_interleave(vehicles.shape[1])
     owner, row = mask.nonzero(as_tuple=True)
     return vehicles[owner, row], owner
 
@@ -134,8 +153,11 @@ class _PooledEncoder(SetEncoder):
 
     def _sum(self, vehicles: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """sum_i mask_i h(x_i) [B, d3], and M as floats [B, 1]."""
-        rows, owner = _pack(vehicles, mask)
-        activations = _segment_sum(self.layers(rows), owner, len(mask))
+        if _is_all_real(mask):
+            activations = self.layers(vehicles).sum(dim=1)
+        else:
+            rows, owner = _pack(vehicles, mask)
+            activations = _segment_sum(self.layers(rows), owner, len(mask))
         count = mask.sum(dim=1, keepdim=True).to(vehicles.dtype)
         # The linear output layer commutes with the sum: sum_i (W a_i + b) = W sum_i a_i + M b.
         return functional.linear(activations, self.output.weight) + count * self.output.bias, count

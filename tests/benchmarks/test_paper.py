@@ -29,7 +29,8 @@ def _one_thread() -> Iterator[None]:
 def products(policy: Policy, cell: Cell, update: int) -> Callable[[], None]:
     """The bare matrix products of an update."""
     samples = Samples("train", 0, cell.size)
-    vehicles = int(samples.draw(samples.batch(update, BATCH)).mask.sum())
+    mask = samples.draw(samples.batch(update, BATCH)).mask
+    vehicles = BATCH * (cell.size or 0) if mask is None else int(mask.sum())
     operands = []
     for name, layer in policy.named_modules():
         if isinstance(layer, nn.Linear):
@@ -51,7 +52,7 @@ def products(policy: Policy, cell: Cell, update: int) -> Callable[[], None]:
 @pytest.mark.parametrize("cell", CELLS, ids=lambda cell: f"{cell.repr}-{cell.size or 'any'}")
 def test_an_update_costs_what_its_matrix_products_cost(benchmark: Any, cell: Cell) -> None:
     policy = Policy(cell)
-    learn = updater(policy, cell, "cpu")
+    learn = updater([policy], [cell], "cpu")
     runs = {"update": lambda: learn(1), "products": products(policy, cell, 1)}
     best = fastest(runs)
     benchmark.pedantic(runs["update"], rounds=3)

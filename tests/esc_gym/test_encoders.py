@@ -9,6 +9,7 @@ import pytest
 import torch
 from hypothesis import given, settings, strategies as st
 from torch import Tensor, nn
+from torch.func import functional_call, stack_module_state, vmap
 
 from esc_gym.encoders import (
     REPRESENTATIONS,
@@ -477,3 +478,31 @@ def test_double_precision_and_state_dict():
 def test_declarations():
     assert {name for name in NAMES if not REPRESENTATIONS[name].permutation_invariant} == {"ap"}
     assert {name for name in NAMES if not build(name).any_size} == {"ap", "fp"}
+
+
+@pytest.mark.parametrize("name", REPRESENTATIONS)
+def test_without_padding_a_mask_is_not_needed(name):
+    encoder = REPRESENTATIONS[name](vehicle_dim=3, ego_dim=2, max_vehicles=4, hidden=(8,))
+    vehicles, ego = torch.randn(5, 4, 3), torch.randn(5, 2)
+    expected = encoder(vehicles, torch.ones(5, 4), ego)
+    torch.testing.assert_close(encoder(vehicles, None, ego), expected, rtol=1e-5, atol=1e-6)
+    repeated = torch.zeros(()).expand(5, 4)  # a padded mask that is one number, too
+    assert not torch.equal(encoder(vehicles, repeated, ego), expected)
+    with pytest.raises(ValueError, match="vehicles: expected shape"):
+        encoder(vehicles[:, :, :2], None, ego)
+
+
+@pytest.mark.parametrize("name", REPRESENTATIONS)
+def test_many_encoders_at_once(name):
+    """torch.func.vmap over weights, for which no shape may depend on values."""
+    make = REPRESENTATIONS[name]
+    encoders = [make(vehicle_dim=3, ego_dim=2, max_vehicles=4, hidden=(8,)) for _ in range(3)]
+    vehicles, ego = torch.randn(3, 5, 4, 3), torch.randn(3, 5, 2)
+    parameters, buffers = stack_module_state(encoders)
+
+    def one(parameters, buffers, vehicles, ego):
+        return functional_call(encoders[0], (parameters, buffers), (vehicles, None, ego))
+
+    together = vmap(one)(parameters, buffers, vehicles, ego)
+    alone = [e(v, None, x) for e, v, x in zip(encoders, vehicles, ego, strict=True)]
+    torch.testing.assert_close(together, torch.stack(alone), rtol=1e-4, atol=1e-5)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -78,14 +79,31 @@ def run(cells: Sequence[Cell], updates: int, device: str, workers: int, out: Pat
         return
     done = SPAWN.Value("d", 0.0)
     pool = ProcessPoolExecutor(workers, SPAWN, _start_worker, (done,))
-    jobs = [pool.submit(train_cell, cell, updates, device, out) for cell in missing]
+    jobs = [
+        pool.submit(train_cells, group, updates, device, out)
+        for group in groups(missing, together=device != "cpu")
+    ]
+    finished_now = 0
     try:
         with _progress(sum(updates * cost(cell) for cell in missing), done):
-            for number, job in enumerate(as_completed(jobs), 1):
-                result = job.result()
-                say(f"[{number}/{len(missing)}] {describe(result)}")
+            for job in as_completed(jobs):
+                for result in job.result():
+                    finished_now += 1
+                    say(f"[{finished_now}/{len(missing)}] {describe(result)}")
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
+
+
+def groups(cells: Sequence[Cell], together: bool) -> list[list[Cell]]:
+    """What is trained at once: with ``together``, cells that differ only in their seeds.
+
+    On a CPU that gains nothing, the products of one cell being large enough; measured: 0.9 to 1.1
+    times the time.
+    """
+    found: dict[Cell, list[Cell]] = {}
+    for cell in cells:
+        found.setdefault(replace(cell, seed=0) if together else cell, []).append(cell)
+    return list(found.values())
 
 
 def finished(cell: Cell, updates: int, out: Path) -> bool:
@@ -113,24 +131,27 @@ def cost(cell: Cell) -> float:
     return 1.0 + (cell.size or (1 + MAX_VEHICLES) / 2)
 
 
-def train_cell(cell: Cell, updates: int, device: str, out: Path) -> Result:
-    """Train one cell and write its file. Called in a worker."""
-    start, work = time.perf_counter(), cost(cell)
+def train_cells(cells: Sequence[Cell], updates: int, device: str, out: Path) -> list[Result]:
+    """Train cells that differ only in their seeds and write their files. Called in a worker."""
+    start, work = time.perf_counter(), sum(map(cost, cells))
 
     def tick(update: int) -> None:
         if _done is not None:
             with _done.get_lock():
                 _done.value += work
 
-    policy, points = train(cell, updates, device, tick)
-    seconds = time.perf_counter() - start
-    outputs = None
-    if cell.size == 2:
-        with torch.no_grad():
-            outputs = policy(overtaking(device)[1]).tolist()
-    result = Result(cell, updates, points, seconds, versions() | {"device": device}, outputs)
-    results.write(out, result)
-    return result
+    trained = train(cells, updates, device, tick)
+    seconds = (time.perf_counter() - start) / len(cells)
+    made_with = versions() | {"device": device}
+    found = []
+    for cell, (policy, points) in zip(cells, trained, strict=True):
+        outputs = None
+        if cell.size == 2:
+            with torch.no_grad():
+                outputs = policy(overtaking(device)[1]).tolist()
+        found.append(Result(cell, updates, points, seconds, made_with, outputs))
+        results.write(out, found[-1])
+    return found
 
 
 def describe(result: Result) -> str:

@@ -22,7 +22,8 @@ class Damaged(Exception):
 class Result:
     """A trained cell. points: its errors during training, the last ones after ``updates``.
 
-    seconds: wall time of the training. made_with: device, versions and commit.
+    seconds: wall time of the training, of one of several at once its share. made_with: device,
+    versions and commit.
     overtaking: where M = 2, the policy's output on the sets of ``training.overtaking``.
     """
 

@@ -23,32 +23,31 @@ _PLACES = _VEHICLES + EGO_DIM + 1
 
 @dataclass(frozen=True)
 class Samples:
-    """One split of the data of one seed.
+    """One split of the data of one seed, or of several at once, then with a dimension for them [S].
 
     size: M of every set, or None for M uniform in 1..20. The sets of different sizes are nested:
     the first five vehicles are the same whatever M is.
     """
 
     split: Split
-    seed: int
+    seed: int | tuple[int, ...]
     size: int | None
 
     def draw(self, index: Tensor) -> Sets:
-        """Samples by their numbers, int64 [B] in 0..COUNTS - 1: values uniform in [-5, 5)."""
+        """Samples by their numbers, int64 [(S,) B] in 0..COUNTS - 1: values uniform in [-5, 5)."""
         rows = MAX_VEHICLES if self.size is None else self.size
-        vehicles = self._uniform(index, 0, rows * VEHICLE_DIM).view(-1, rows, VEHICLE_DIM)
+        vehicles = self._uniform(index, 0, rows * VEHICLE_DIM).unflatten(-1, (rows, VEHICLE_DIM))
         ego = self._uniform(index, _VEHICLES, EGO_DIM)
-        if self.size is None:
-            sizes = 1 + _below(MAX_VEHICLES, self._bits(index, _VEHICLES + EGO_DIM, 1))
-        else:
-            sizes = torch.full_like(index, rows)[:, None]
+        if self.size is not None:
+            return Sets(vehicles, None, ego)
+        sizes = 1 + _below(MAX_VEHICLES, self._bits(index, _VEHICLES + EGO_DIM, 1))
         mask = torch.arange(rows, device=index.device) < sizes
-        return Sets(vehicles * mask[:, :, None], mask, ego)
+        return Sets(vehicles * mask[..., None], mask, ego)
 
     def batch(self, update: int, size: int, device: torch.device | str = "cpu") -> Tensor:
-        """Numbers of the samples of one mini-batch, drawn with replacement: int64 [size]."""
+        """Numbers of the samples of one mini-batch, drawn with replacement: int64 [(S,) size]."""
         places = torch.arange(size, device=device) + update * size
-        key = _key(self.seed, "batch", self.split)
+        key = self._key(places, "batch", self.split)
         return _below(COUNTS[self.split], _scramble(places, key))
 
     def all(self, device: torch.device | str = "cpu") -> Sets:
@@ -56,9 +55,17 @@ class Samples:
         return self.draw(torch.arange(COUNTS[self.split], device=device))
 
     def _bits(self, index: Tensor, place: int, count: int) -> Tensor:
-        """[B, count] integers of 32 bits."""
+        """[(S,) B, count] integers of 32 bits."""
         places = torch.arange(place, place + count, device=index.device)
-        return _scramble(index[:, None] * _PLACES + places, _key(self.seed, self.split))
+        counter = index[..., None] * _PLACES + places
+        return _scramble(counter, self._key(counter[0], self.split))
+
+    def _key(self, like: Tensor, *parts: str) -> int | Tensor:
+        """A seed's key, or those of several seeds [S, 1, ...], to add to ``like`` for each."""
+        if isinstance(self.seed, int):
+            return _key(self.seed, *parts)
+        keys = torch.tensor([_key(seed, *parts) for seed in self.seed], device=like.device)
+        return keys.view(-1, *[1] * like.dim())
 
     def _uniform(self, index: Tensor, place: int, count: int) -> Tensor:
         # 24 bits: as many as a float32 holds exactly.
@@ -89,7 +96,7 @@ def _signed(number: int) -> int:
     return number - (number >> 63 << 64)
 
 
-def _scramble(counter: Tensor, key: int) -> Tensor:
+def _scramble(counter: Tensor, key: int | Tensor) -> Tensor:
     """The upper 32 bits of SplitMix64's output number ``counter`` from the state ``key``."""
     z = counter * _signed(0x9E3779B97F4A7C15) + key  # int64 wraps around, as it has to
     z = (z ^ (z >> 30 & (1 << 34) - 1)) * _signed(0xBF58476D1CE4E5B9)

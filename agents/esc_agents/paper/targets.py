@@ -18,23 +18,31 @@ LOW, HIGH = -5.0, 5.0
 
 
 class Sets(NamedTuple):
-    """A batch: vehicles [B, N, 5], mask [B, N] bool, true for the M >= 1 real rows; ego [B, 10]."""
+    """A batch: vehicles [B, N, 5], mask [B, N] bool, ego [B, 10].
+
+    The mask is true for the M >= 1 real rows, None where all of them are.
+    """
 
     vehicles: Tensor
-    mask: Tensor
+    mask: Tensor | None
     ego: Tensor
+
+    def real(self, values: Tensor, padding: float) -> Tensor:
+        """values [B, N], and ``padding`` in the rows that are none."""
+        return values if self.mask is None else values.masked_fill(~self.mask, padding)
 
     def smallest(self, values: Tensor) -> Tensor:
         """Minimum over the vehicles of values [B, N]."""
-        return values.masked_fill(~self.mask, inf).amin(dim=1)
+        return self.real(values, inf).amin(dim=1)
 
     def largest(self, values: Tensor) -> Tensor:
         """Maximum over the vehicles of values [B, N]."""
-        return values.masked_fill(~self.mask, -inf).amax(dim=1)
+        return self.real(values, -inf).amax(dim=1)
 
     def mean(self, values: Tensor) -> Tensor:
         """Mean over the vehicles of values [B, N]."""
-        return values.masked_fill(~self.mask, 0).sum(dim=1) / self.mask.sum(dim=1)
+        count = values.shape[1] if self.mask is None else self.mask.sum(dim=1)
+        return self.real(values, 0).sum(dim=1) / count
 
 
 def norm(x: Tensor, p: int) -> Tensor:
@@ -62,7 +70,7 @@ def _target_3(s: Sets) -> Tensor:
 def _target_4(s: Sets) -> Tensor:
     x = s.vehicles
     ratios = x.amin(dim=2) / (norm(x, 2) + 0.1)
-    return 5 * norm(s.ego, 2) * norm(ratios.masked_fill(~s.mask, 0), 4)
+    return 5 * norm(s.ego, 2) * norm(s.real(ratios, 0), 4)
 
 
 def _target_5(s: Sets) -> Tensor:

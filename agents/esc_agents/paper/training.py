@@ -6,12 +6,13 @@ Shapes: B = 512 sets a batch; d1 = 5, d2 = 10, d3 = 101.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.func import functional_call, vmap
 
 from esc_agents.paper.samples import Samples
 from esc_agents.paper.targets import (
@@ -94,39 +95,110 @@ class Point:
 
 
 def train(
-    cell: Cell, updates: int, device: str, tick: Callable[[int], None] = lambda update: None
-) -> tuple[Policy, list[Point]]:
-    """Train a cell: its policy, and its errors every 100 updates and at the end.
+    cells: Sequence[Cell], updates: int, device: str,
+    tick: Callable[[int], None] = lambda update: None,
+) -> list[tuple[Policy, list[Point]]]:  # fmt: skip
+    """Train cells that differ only in their seeds, of one size as one batched model.
 
-    ``tick`` hears of every update.
+    Returns the policy of each, and its errors every 100 updates and at the end. ``tick`` hears of
+    every update.
     """
-    torch.manual_seed(cell.seed)
-    policy = Policy(cell).to(device)
-    learn, target = updater(policy, cell, device), TARGETS[cell.benchmark]
-    tests = [(size, Samples("test", cell.seed, size).all(device)) for size in cell.test_sizes]
-    points = []
+    policies = []
+    for cell in cells:
+        torch.manual_seed(cell.seed)
+        policies.append(Policy(cell).to(device))
+    learn = updater(policies, cells, device)
+    tests = [
+        [(size, Samples("test", cell.seed, size).all(device)) for size in cell.test_sizes]
+        for cell in cells
+    ]
+    points: list[list[Point]] = [[] for _ in cells]
     for update in range(1, updates + 1):
         learn(update)
         tick(update)
         if update % EVALUATE_EVERY == 0 or update == updates:
-            errors = {size: mean_squared_error(policy, target, sets) for size, sets in tests}
-            points.append(Point(update, errors))
-    return policy, points
+            for cell, policy, sized, found in zip(cells, policies, tests, points, strict=True):
+                errors = {size: error(policy, cell, sets) for size, sets in sized}
+                found.append(Point(update, errors))
+    return list(zip(policies, points, strict=True))
 
 
-def updater(policy: Policy, cell: Cell, device: str) -> Callable[[int], None]:
-    """Makes the update of a number, 1 or more: one step of Adam on 512 sets."""
-    adam = torch.optim.Adam(policy.parameters(), lr=LEARNING_RATE, fused=True)
-    target, samples = TARGETS[cell.benchmark], Samples("train", cell.seed, cell.size)
+def updater(
+    policies: Sequence[Policy], cells: Sequence[Cell], device: str
+) -> Callable[[int], None]:
+    """Makes the update of a number, 1 or more: a step of Adam for each policy, on 512 sets."""
+    first = cells[0]
+    if len(cells) > 1 and first.size is not None:
+        losses, parameters = _batched(policies, cells, device)
+    else:
+        losses, parameters = _one_by_one(policies, cells, device)
+    adam = torch.optim.Adam(parameters, lr=LEARNING_RATE, fused=True)
 
     def learn(update: int) -> None:
-        sets = samples.draw(samples.batch(update, BATCH, device))
-        loss = nn.functional.mse_loss(policy(sets), target(sets))
+        total = losses(update).sum()  # of which each policy's gradient is that of its own loss
         adam.zero_grad()
-        loss.backward()
+        total.backward()
         adam.step()
 
     return learn
+
+
+def _one_by_one(
+    policies: Sequence[Policy], cells: Sequence[Cell], device: str
+) -> tuple[Callable[[int], Tensor], list[Tensor]]:
+    """(losses [S] of an update, what to train)."""
+    each = [Samples("train", cell.seed, cell.size) for cell in cells]
+
+    def losses(update: int) -> Tensor:
+        batches = [samples.draw(samples.batch(update, BATCH, device)) for samples in each]
+        found = [loss(p, cells[0], sets) for p, sets in zip(policies, batches, strict=True)]
+        return torch.stack(found)
+
+    return losses, [parameter for policy in policies for parameter in policy.parameters()]
+
+
+def _batched(
+    policies: Sequence[Policy], cells: Sequence[Cell], device: str
+) -> tuple[Callable[[int], Tensor], list[Tensor]]:
+    """(losses [S] of an update, what to train), with one product for the layer of all policies.
+
+    The policies' own parameters become views of what is trained.
+    """
+    stacked = {
+        name: torch.stack(list(same)).detach().requires_grad_()
+        for name, same in _by_name(policies).items()
+    }
+    for number, policy in enumerate(policies):
+        for name, parameter in policy.named_parameters():
+            parameter.data = stacked[name].data[number]
+    samples = Samples("train", tuple(cell.seed for cell in cells), cells[0].size)
+    policy = policies[0]
+
+    def one(parameters: dict[str, Tensor], vehicles: Tensor, ego: Tensor) -> Tensor:
+        sets = Sets(vehicles, None, ego)
+        return loss(lambda sets: functional_call(policy, parameters, (sets,)), cells[0], sets)
+
+    def losses(update: int) -> Tensor:
+        sets = samples.draw(samples.batch(update, BATCH, device))
+        return vmap(one)(stacked, sets.vehicles, sets.ego)
+
+    return losses, list(stacked.values())
+
+
+def _by_name(policies: Sequence[Policy]) -> dict[str, list[Tensor]]:
+    named = [dict(policy.named_parameters()) for policy in policies]
+    return {name: [parameters[name] for parameters in named] for name in named[0]}
+
+
+def loss(policy: Callable[[Sets], Tensor], cell: Cell, sets: Sets) -> Tensor:
+    """Mean squared error of a policy."""
+    return nn.functional.mse_loss(policy(sets), TARGETS[cell.benchmark](sets))
+
+
+@torch.no_grad()
+def error(policy: Policy, cell: Cell, sets: Sets) -> float:
+    """The same, as a number."""
+    return loss(policy, cell, sets).item()
 
 
 def overtaking(device: str = "cpu") -> tuple[Tensor, Sets]:
@@ -138,10 +210,4 @@ def overtaking(device: str = "cpu") -> tuple[Tensor, Sets]:
     vehicles = torch.zeros(len(j), 2, VEHICLE_DIM)
     vehicles[:, 0, 0], vehicles[:, 0, 1] = j, 2
     vehicles[:, 1, 0], vehicles[:, 1, 1] = 1, 5
-    mask, ego = torch.ones(len(j), 2, dtype=torch.bool), torch.zeros(len(j), EGO_DIM)
-    return j, Sets(vehicles.to(device), mask.to(device), ego.to(device))
-
-
-@torch.no_grad()
-def mean_squared_error(policy: Policy, target: Callable[[Sets], Tensor], sets: Sets) -> float:
-    return float(nn.functional.mse_loss(policy(sets), target(sets)))
+    return j, Sets(vehicles.to(device), None, torch.zeros(len(j), EGO_DIM, device=device))

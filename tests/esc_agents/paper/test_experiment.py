@@ -12,7 +12,7 @@ import pytest
 
 from esc_agents.cli import paper as cli
 from esc_agents.errors import UserError
-from esc_agents.paper.experiment import cost, grid
+from esc_agents.paper.experiment import cost, grid, groups, study
 from esc_agents.paper.results import path_of, read
 from esc_agents.paper.training import Cell
 
@@ -31,6 +31,23 @@ def test_costs_grow_with_the_rows_that_are_encoded():
     assert cost(Cell(1, 5, "fp", 0)) == cost(Cell(1, 20, "ap", 0))
     assert cost(Cell(1, 5, "fp", 0)) < cost(Cell(1, 5, "esc", 0)) < cost(Cell(1, None, "esc", 0))
     assert cost(Cell(1, None, "esc", 0)) < cost(Cell(1, 20, "esc", 0))
+
+
+def test_what_is_trained_at_once():
+    cells = grid([1, 2], [5], ["esc", "fp"], range(3))
+    assert groups(cells, together=False) == [[cell] for cell in cells]
+    together = groups(cells, together=True)
+    assert sorted(map(len, together)) == [3] * 4
+    for group in together:
+        assert len({(cell.benchmark, cell.size, cell.repr) for cell in group}) == 1
+        assert [cell.seed for cell in group] == [0, 1, 2]
+
+
+def test_studies_go_below_at_and_above_the_rule():
+    dims = {cell.code_dim for cell in study("code-dim", [1], [0])}
+    assert min(dims) < 101 < max(dims)
+    assert 101 in dims
+    assert len(set(study("truncation", [1, 2], range(2)))) == 6 * 4
 
 
 def test_finished_cells_are_kept_and_damaged_ones_trained_again(tmp_path, capsys):
@@ -85,6 +102,8 @@ def test_killed_and_started_again(tmp_path):
         (["run", "--cases", "21"], "expected 1 to 20 vehicles, or any; got '21'"),
         (["run", "--cases", "all"], "got 'all'"),
         (["run", "--quick", "--seeds", "3"], "--quick sets --benchmarks"),
+        (["run", "--study", "truncation", "--cases", "5"], "--study truncation sets --cases"),
+        (["run", "--study", "jump"], "--study"),
         (["run", "--repr", "esk"], "did you mean 'esc'?"),
         (["run", "--repr"], "at least one"),
         (["run", "--seeds", "0"], "greater than 0"),

@@ -98,3 +98,16 @@ def test_the_same_on_a_gpu():
     here, there = TEST.all(), TEST.all("cuda")
     for a, b in zip(here, there, strict=True):
         assert torch.equal(a, b.cpu())
+
+
+def test_several_seeds_at_once():
+    index = torch.stack([torch.arange(6), torch.arange(6) * 100])
+    for size in (4, None):
+        both = Samples("train", (3, 8), size)
+        alone = [Samples("train", seed, size) for seed in (3, 8)]
+        assert torch.equal(both.batch(2, 9), torch.stack([one.batch(2, 9) for one in alone]))
+        drawn = both.draw(index)
+        for number, one in enumerate(alone):
+            expected = one.draw(index[number])
+            assert torch.equal(drawn.vehicles[number], expected.vehicles)
+            assert torch.equal(drawn.ego[number], expected.ego)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import nn
 
-from esc_agents.paper.samples import Samples
+from esc_agents.paper.samples import COUNTS, Samples
 from esc_agents.paper.targets import Sets
 from esc_agents.paper.training import Cell, Policy, train
 from esc_gym.encoders import REPRESENTATIONS
@@ -60,20 +60,20 @@ def renamed(state, module):
 @pytest.mark.parametrize("repr", REPRESENTATIONS)
 def test_a_few_updates_lessen_the_error(repr):
     """Of the same policy: a longer training starts as a shorter one does."""
-    (few,), (more,) = (train(Cell(1, 5, repr, 0), updates, "cpu")[1] for updates in (1, 8))
+    (few,), (more,) = (train([Cell(1, 5, repr, 0)], updates, "cpu")[0][1] for updates in (1, 8))
     assert (few.update, more.update) == (1, 8)
     assert more.errors[5] < few.errors[5]
 
 
 def test_variable_sizes_are_tested_on_four():
     ticks = []
-    _, points = train(Cell(2, None, "esc", 1), 3, "cpu", ticks.append)
+    ((_, points),) = train([Cell(2, None, "esc", 1)], 3, "cpu", ticks.append)
     assert ticks == [1, 2, 3]
     assert list(points[-1].errors) == [5, 10, 15, 20]
 
 
 def test_the_same_seed_gives_the_same_errors():
-    first, second, other = (train(Cell(3, 5, "fp", seed), 5, "cpu")[1] for seed in (0, 0, 1))
+    first, second, other = (train([Cell(3, 5, "fp", seed)], 5, "cpu")[0][1] for seed in (0, 0, 1))
     assert first == second
     assert first != other
 
@@ -89,3 +89,18 @@ def test_no_warnings_at_the_papers_code_dimension():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Policy(Cell(1, 20, "esc", 0))
+
+
+@pytest.mark.parametrize(
+    ("repr", "size"), [*((repr, 3) for repr in REPRESENTATIONS), ("esc", None), ("esc", 20)]
+)
+def test_seeds_at_once_are_seeds_one_by_one(repr, size, monkeypatch):
+    monkeypatch.setitem(COUNTS, "test", 64)
+    cells = [Cell(3, size, repr, seed) for seed in (0, 4)]
+    together = train(cells, 3, "cpu")
+    for cell, (policy, points) in zip(cells, together, strict=True):
+        ((alone, expected),) = train([cell], 3, "cpu")
+        for size_, error in expected[-1].errors.items():
+            assert points[-1].errors[size_] == pytest.approx(error, rel=1e-4)
+        for (name, one), two in zip(alone.named_parameters(), policy.parameters(), strict=True):
+            torch.testing.assert_close(two, one, rtol=1e-3, atol=1e-5, msg=name)
