@@ -76,6 +76,11 @@ def summary(results: Sequence[Result], table: Table) -> Iterator[Block]:
         return
     yield Text(NOTE)
     yield Rows(list(rows(table, published())))
+    if missing := len(published().keys() - table.keys()):
+        yield Text(
+            f"{missing} of the paper's {len(published())} entries are not there yet: `esc-paper "
+            "run` trains what is missing."
+        )
     if len(saved := savings(table)) > 1:
         yield Rows(saved)
     yield Text(WHY_MSE)

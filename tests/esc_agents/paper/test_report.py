@@ -51,6 +51,9 @@ def test_files(cells, capsys):
     report(cells.parent)
     assert f"{broken}: not a whole result" in capsys.readouterr().out
     assert "| 2 | 10 | **51** | **60.1±0.36** |" in (cells.parent / "report.md").read_text()
+    assert (
+        "95 of the paper's 96 entries are not there yet" in (cells.parent / "report.md").read_text()
+    )
     assert "2,10,ap,fixed,51.0" in (cells.parent / "table.csv").read_text()
 
 
