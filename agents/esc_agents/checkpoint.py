@@ -99,6 +99,7 @@ def sha256(state: bytes) -> str:
 
 
 def path_of(folder: Path, steps: int) -> Path:
+    """<steps, 12 digits>.checkpoint"""
     return folder / f"{steps:012d}{SUFFIX}"
 
 

@@ -31,76 +31,19 @@ from esc_agents.callbacks import (
     StopOnSignal,
     Stopped,
 )
-from esc_agents.config import TrainConfig, check_env_id
-from esc_agents.envs import check_actions, factories, make_env
+from esc_agents.checks import check, check_device, extractor_arguments
+from esc_agents.config import TrainConfig
+from esc_agents.envs import factories, make_env
 from esc_agents.errors import UserError
 from esc_agents.evaluate import Summary, as_rows, blind_policies, evaluate, model_policy
 from esc_agents.policies import load_policy, save_policy
 from esc_agents.report import results_table, show
-from esc_gym.encoders import representation
 from esc_gym.extractors import SetExtractor
 from esc_gym.fastsim import report
 from esc_gym.matching import parameter_count
 
 WORKERS_IMPORT = ["stable_baselines3.common.vec_env.subproc_vec_env", "esc_agents.envs"]
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
-
-
-def check(config: TrainConfig) -> gym.Env:
-    """One environment of the run, after everything that a user can get wrong was looked at."""
-    try:
-        representation(config.repr)
-    except ValueError as error:
-        raise UserError(f"repr: {error}") from error
-    check_env_id(config.env)
-    check_device(config.device)
-    try:
-        check_actions(config)
-        env = make_env(config)
-        env.reset(seed=config.seed)
-        env.step(env.action_space.sample())  # reward terms are read here for the first time
-        _try_encoder(config, env)
-    except UserError:
-        raise
-    except Exception as error:  # a wrong value in env_config can make highway-env raise anything
-        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
-        reason = str(error).partition(" was raised from the environment creator")[0]
-        raise UserError(f"{config.env}: {kind}{reason}") from error
-    rollout = config.ppo.n_steps * config.n_envs
-    if config.algo == "ppo" and config.ppo.batch_size > rollout:
-        raise UserError(
-            f"ppo.batch_size: expected at most n_steps * n_envs = {rollout}, got "
-            f"{config.ppo.batch_size}; raise --ppo.n-steps or lower --ppo.batch-size"
-        )
-    return env
-
-
-def check_device(name: str) -> None:
-    """Raises UserError unless torch can compute on the device called ``name``."""
-    if name == "auto":
-        return
-    try:
-        torch.empty(1, device=name).cpu()  # of "meta", too, torch makes tensors
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise UserError(f"device: expected auto, cpu or cuda, got {name!r}: {reason}") from error
-
-
-def _try_encoder(config: TrainConfig, env: Any) -> None:
-    extractor = SetExtractor(env.observation_space, **_arguments(config))
-    observation = env.observation_space.sample()
-    extractor({name: torch.as_tensor(value[None]).float() for name, value in observation.items()})
-
-
-def _arguments(config: TrainConfig) -> dict[str, Any]:
-    encoder = config.encoder
-    return {
-        "representation": config.repr,
-        "hidden": list(encoder.hidden),
-        "code_dim": encoder.code_dim,
-        "match_parameters": encoder.match_parameters,
-        **encoder.arguments,
-    }
 
 
 def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
@@ -134,7 +77,7 @@ def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
     settings = config.hyperparameters.model_dump(exclude={"net_arch", "ortho_init"})
     policy: dict[str, Any] = {
         "features_extractor_class": SetExtractor,
-        "features_extractor_kwargs": _arguments(config),
+        "features_extractor_kwargs": extractor_arguments(config),
         "net_arch": list(config.hyperparameters.net_arch),
     }
     # One kernel instead of one per tensor and operation: the same Adam, a third less time.
@@ -302,7 +245,7 @@ class Training:
         self.config, self.directory, self.model = config, directory, model
         self.probe, self.judges = probe, judges
         self.save_policy = partial(
-            save_policy, directory, model, config, _arguments(config), wrapper_json(probe)
+            save_policy, directory, model, config, extractor_arguments(config), wrapper_json(probe)
         )
 
     def run(self, found: dict[str, Any] | None) -> bool:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+import torch
 
 
 def fastest(runs: Mapping[str, Callable[[], object]], rounds: int = 20) -> dict[str, float]:
@@ -15,3 +18,14 @@ def fastest(runs: Mapping[str, Callable[[], object]], rounds: int = 20) -> dict[
             run()
             best[name] = min(best[name], time.perf_counter() - start)
     return best
+
+
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """torch on so many threads, and then as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

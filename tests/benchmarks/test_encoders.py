@@ -15,17 +15,15 @@ import torch
 from torch import Tensor
 
 from esc_gym.encoders import ESCEncoder
-from tests.benchmarks.interleaved import fastest
+from tests.benchmarks.interleaved import fastest, torch_threads
 
 B, N, D1, D2 = 256, 50, 7, 9
 
 
 @pytest.fixture(autouse=True)
 def _two_threads() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
+    with torch_threads(2):
+        yield
 
 
 def contenders(code_dim: int) -> dict[str, Callable[[], Tensor]]:

@@ -13,17 +13,15 @@ from torch import nn
 
 from esc_agents.paper.samples import Samples
 from esc_agents.paper.training import BATCH, Cell, Policy, updater
-from tests.benchmarks.interleaved import fastest
+from tests.benchmarks.interleaved import fastest, torch_threads
 
 CELLS = [Cell(1, 20, "esc", 0), Cell(1, None, "esc", 0), Cell(1, 5, "fp", 0), Cell(1, 20, "ap", 0)]
 
 
 @pytest.fixture(autouse=True)
 def _one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+    with torch_threads(1):
+        yield
 
 
 def products(policy: Policy, cell: Cell, update: int) -> Callable[[], None]:
