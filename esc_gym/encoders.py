@@ -30,6 +30,8 @@ class SetEncoder(nn.Module):
     vehicle_dim, ego_dim, max_vehicles: d1, d2 and N.
     hidden: widths of the hidden layers, at least one.
     code_dim: d3, by default N*d1 + 1, the rule of the paper's Theorem 1.
+    scale: multiplies the code. Injectivity doesn't depend on it; for a sum over many vehicles 1/10,
+        say, keeps the inputs of the policy moderate.
     """
 
     permutation_invariant: bool = True
@@ -43,6 +45,7 @@ class SetEncoder(nn.Module):
         max_vehicles: int,
         hidden: Sequence[int] = DEFAULT_HIDDEN,
         code_dim: int | None = None,
+        scale: float = 1.0,
     ) -> None:
         super().__init__()
         self.hidden = tuple(hidden)
@@ -56,6 +59,9 @@ class SetEncoder(nn.Module):
         self.required_code_dim = max_vehicles * vehicle_dim + 1
         self.code_dim = self.required_code_dim if code_dim is None else code_dim
         _check_positive(code_dim=self.code_dim)
+        if not math.isfinite(scale) or scale == 0:
+            raise ValueError(f"scale: expected a finite number other than 0, got {scale!r}")
+        self.scale = scale
         self.features_dim = self.code_dim + ego_dim
 
     def forward(self, vehicles: Tensor, mask: Tensor | None, ego: Tensor) -> Tensor:
@@ -66,10 +72,10 @@ class SetEncoder(nn.Module):
         """
         self._check(vehicles, mask, ego)
         real = _all_real(vehicles) if mask is None else mask != 0
-        return torch.cat([self.encode(vehicles, real, ego), ego], dim=1)
+        return torch.cat([self.scale * self.encode(vehicles, real, ego), ego], dim=1)
 
     def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
-        """The set code [B, d3]; mask is bool. Padding may hold anything."""
+        """The set code [B, d3], not yet scaled; mask is bool. Padding may hold anything."""
         raise NotImplementedError(f"{type(self).__name__} has to define encode()")
 
     def _check(self, vehicles: Tensor, mask: Tensor | None, ego: Tensor) -> None:
@@ -164,17 +170,10 @@ class _PooledEncoder(SetEncoder):
 
 
 class ESCEncoder(_PooledEncoder):
-    """Encoding sum and concatenation, the paper's equation for U_ESC: scale * sum_i h(x_i).
+    """Encoding sum and concatenation, the paper's equation for U_ESC: sum_i h(x_i)."""
 
-    scale: multiplies the code. Injectivity doesn't depend on it; 1/10, say, keeps the inputs of the
-    policy moderate where M is large.
-    """
-
-    def __init__(self, *, scale: float = 1.0, **dims: Any) -> None:
+    def __init__(self, **dims: Any) -> None:
         super().__init__(**dims)
-        if not math.isfinite(scale) or scale == 0:
-            raise ValueError(f"scale: expected a finite number other than 0, got {scale!r}")
-        self.scale = scale
         if self.code_dim < self.required_code_dim:
             warnings.warn(
                 f"code_dim={self.code_dim} is less than N*d1 + 1 = {self.required_code_dim}, from "
@@ -183,7 +182,7 @@ class ESCEncoder(_PooledEncoder):
             )
 
     def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
-        return self.scale * self._sum(vehicles, mask)[0]
+        return self._sum(vehicles, mask)[0]
 
 
 class MeanEncoder(_PooledEncoder):
@@ -296,7 +295,9 @@ class APEncoder(SetEncoder):
 
     def arrange(self, vehicles: Tensor, mask: Tensor) -> Tensor:
         """The real rows in the order in which they take the slots, then padding: [B, k, d1]."""
-        return _sorted_by(torch.zeros_like(vehicles[:, :, 0]), vehicles, mask)
+        if _is_all_real(mask):
+            return vehicles
+        return _take(vehicles, _order(torch.zeros_like(vehicles[:, :, 0]), mask))
 
 
 class FPEncoder(APEncoder):
@@ -319,12 +320,13 @@ class FPEncoder(APEncoder):
 
     def arrange(self, vehicles: Tensor, mask: Tensor) -> Tensor:
         offset = (vehicles[:, :, self.position] - self.center) / self.reach
-        rows = _sorted_by(offset.square().sum(dim=2), vehicles, mask)[:, : self.slots]
+        order = _order(offset.square().sum(dim=2), mask)[:, : self.slots]
         if self.sort == "lexicographic":
-            real = _leading(mask, rows.shape[1])
+            real = _leading(mask, order.shape[1])
             for column in reversed(range(self.vehicle_dim)):
-                rows = _sorted_by(rows[:, :, column], rows, real)
-        return rows
+                key = vehicles[:, :, column].gather(1, order)
+                order = order.gather(1, _order(key, real))
+        return _take(vehicles, order)
 
 
 def _leading(mask: Tensor, size: int) -> Tensor:
@@ -332,10 +334,14 @@ def _leading(mask: Tensor, size: int) -> Tensor:
     return torch.arange(size, device=mask.device) < mask.sum(dim=1, keepdim=True)
 
 
-def _sorted_by(key: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
-    """rows [B, N, d1] by increasing key [B, N], padding last; stable, so ties keep their order."""
-    order = key.masked_fill(~mask, math.inf).argsort(dim=1, stable=True)
-    return rows.gather(1, order[:, :, None].expand_as(rows))
+def _order(key: Tensor, mask: Tensor) -> Tensor:
+    """Rows [B, N] by increasing key [B, N], padding last; stable, so ties keep their order."""
+    return key.masked_fill(~mask, math.inf).argsort(dim=1, stable=True)
+
+
+def _take(rows: Tensor, order: Tensor) -> Tensor:
+    """rows [B, N, d1] in an order [B, k] -> [B, k, d1]."""
+    return rows.gather(1, order[:, :, None].expand(-1, -1, rows.shape[2]))
 
 
 REPRESENTATIONS: dict[str, type[SetEncoder]] = {

@@ -18,6 +18,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
+from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 
 from esc_agents.config import TrainConfig
@@ -27,6 +28,32 @@ from esc_gym.registration import NAMESPACE, merge, merge_config
 from esc_gym.scenarios import scenario_of_class
 
 REFERENCE_SPEED = 30.0  # m/s; ``progress_reward`` is paid for this much along the lane
+
+
+def speed_along_lane(vehicle: Any) -> float:
+    """What of a vehicle's speed brings it on along its lane [m/s]."""
+    longitudinal, _ = vehicle.lane.local_coordinates(vehicle.position)
+    return vehicle.speed * cos(vehicle.heading - vehicle.lane.heading_at(longitudinal))
+
+
+class RuleDriver(gym.Wrapper):
+    """Hands the ego over to highway-env's own driver, IDM and MOBIL, whatever actions are given.
+
+    It wants the highest speed that the ego's meta-actions have, or the lane's limit.
+    """
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
+        observation, info = self.env.reset(seed=seed, options=options)
+        base: Any = self.unwrapped
+        ego, vehicles = base.vehicle, base.road.vehicles
+        speeds = getattr(ego, "target_speeds", (ego.MAX_SPEED,))
+        kept = {name: getattr(ego, name, None) for name in ("target_lane_index", "route")}
+        driver = IDMVehicle(
+            base.road, ego.position, ego.heading, ego.speed, target_speed=float(speeds[-1]), **kept
+        )
+        vehicles[vehicles.index(ego)] = driver
+        base.vehicle = base.action_type.controlled_vehicle = driver
+        return observation, info
 
 
 class Progress(gym.Wrapper):
@@ -43,9 +70,7 @@ class Progress(gym.Wrapper):
         observation, reward, terminated, truncated, info = self.env.step(action)
         base: Any = self.unwrapped
         vehicle = base.vehicle
-        longitudinal, _ = vehicle.lane.local_coordinates(vehicle.position)
-        angle = vehicle.heading - vehicle.lane.heading_at(longitudinal)
-        reward += self.reward * vehicle.speed * cos(angle) / REFERENCE_SPEED
+        reward += self.reward * speed_along_lane(vehicle) / REFERENCE_SPEED
         if self.offroad_terminal and not vehicle.on_road:
             terminated = True
         return observation, float(reward), terminated, truncated, info
@@ -55,8 +80,9 @@ class DrivingMonitor(gym.Wrapper):
     """``info["episode"]`` at the end of each episode, as SB3's Monitor gives it, and more.
 
     r return, l length [policy steps], t seconds since start; crashed (0 or 1), speed (mean, m/s),
-    lane_changes (count), vehicles (mean M), min_ttc (s; inf where nothing was ever on a collision
-    course; computed with ``ttc=True`` only), seed (of the reset, None if there was none).
+    progress (way made along the lanes, m), off_road (share of the steps), lane_changes (count),
+    vehicles (mean M), min_ttc (s; inf where nothing was ever on a collision course; computed with
+    ``ttc=True`` only), seed (of the reset, None if there was none).
     """
 
     def __init__(self, env: gym.Env, ttc: bool = False) -> None:
@@ -67,6 +93,7 @@ class DrivingMonitor(gym.Wrapper):
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
         observation, info = self.env.reset(seed=seed, options=options)
         self._seed, self._rewards, self._speeds, self._counts = seed, [], [], []
+        self._progress, self._off_road = 0.0, 0
         self._lane_changes, self._min_ttc = 0, float("inf")
         base: Any = self.unwrapped
         self._lane = base.vehicle.lane_index
@@ -79,6 +106,8 @@ class DrivingMonitor(gym.Wrapper):
         self._rewards.append(float(reward))
         self._speeds.append(float(vehicle.speed))
         self._counts.append(info["set"]["count"])
+        self._progress += speed_along_lane(vehicle) / base.config["policy_frequency"]
+        self._off_road += not vehicle.on_road
         # Lane numbers of different roads are unrelated: only a change within one road counts.
         self._lane_changes += lane[:2] == self._lane[:2] and lane[2] != self._lane[2]
         self._lane = lane
@@ -95,6 +124,8 @@ class DrivingMonitor(gym.Wrapper):
             "t": time.time() - self._start,
             "crashed": int(crashed),
             "speed": float(np.mean(self._speeds)),
+            "progress": float(self._progress),
+            "off_road": self._off_road / len(self._rewards),
             "lane_changes": int(self._lane_changes),
             "vehicles": float(np.mean(self._counts)),
             "min_ttc": self._min_ttc,
@@ -247,10 +278,12 @@ def make_env(
     shuffle: bool = False,
     render_mode: str | None = None,
     evaluation: bool = False,
+    rule_driver: bool = False,
 ) -> gym.Env:
     """One environment of a run.
 
     shuffle: permute the rows of every observation. evaluation: also measure times to collision.
+    rule_driver: IDM and MOBIL drive the ego.
     """
     observation = config.observation.model_dump()
     if shuffle:
@@ -267,6 +300,8 @@ def make_env(
             disable_env_checker=True,
             **observation,
         )
+    if rule_driver:
+        env = RuleDriver(env)
     task = config.continuous if config.algo == "sac" else None
     if task and (task.progress_reward or task.offroad_terminal):
         env = Progress(env, task.progress_reward, task.offroad_terminal)

@@ -24,7 +24,8 @@ class Episode:
     """One evaluated drive.
 
     seed of the environment; reward: the return; length [policy steps]; speed: mean [m/s];
-    vehicles: mean size M of the set; min_ttc: least time to collision [s], inf for none.
+    progress: way made along the lanes [m]; off_road: share of the steps; vehicles: mean size M of
+    the set; min_ttc: least time to collision [s], inf for none.
     """
 
     seed: int
@@ -32,9 +33,14 @@ class Episode:
     length: int
     crashed: bool
     speed: float
+    progress: float
+    off_road: float
     lane_changes: int
     vehicles: float
     min_ttc: float
+
+
+MEANS = ("speed", "progress", "off_road", "length", "lane_changes", "vehicles")
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,8 @@ class Summary:
     collision_low: float
     collision_high: float
     speed: float
+    progress: float
+    off_road: float
     length: float
     lane_changes: float
     vehicles: float
@@ -67,7 +75,7 @@ class Summary:
             *mean_interval([episode.reward for episode in episodes]),
             crashes / len(episodes),
             *wilson_interval(crashes, len(episodes)),
-            *(mean(name) for name in ("speed", "length", "lane_changes", "vehicles")),
+            *map(mean, MEANS),
             min_ttc=float(np.median([episode.min_ttc for episode in episodes])),
         )
 
@@ -106,7 +114,7 @@ def check_faults(infos: Sequence[dict[str, Any]], where: str = "evaluation") -> 
 def _episode(info: dict[str, Any]) -> Episode:
     return Episode(
         reward=info["r"], length=info["l"], crashed=bool(info["crashed"]),
-        **{name: info[name] for name in ("seed", "speed", "lane_changes", "vehicles", "min_ttc")},
+        **{name: info[name] for name in ("seed", *MEANS, "min_ttc") if name != "length"},
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the ids)
 import numpy as np
 import pytest
+from highway_env.vehicle.behavior import IDMVehicle
 
 from esc_agents.config import TrainConfig, config_for_env, scenarios
 from esc_agents.envs import (
@@ -19,6 +20,7 @@ from esc_agents.envs import (
     make_env,
 )
 from esc_agents.errors import UserError
+from esc_gym.fastsim.behavior import original_behavior
 from tests.esc_agents.tiny import ROAD, tiny
 
 SAC_SCENARIOS = [name for name in scenarios() if config_for_env(name).continuous]
@@ -40,6 +42,7 @@ class Scripted(gym.Env):
             lane_index=("a", "b", 0), speed=0.0, crashed=False, on_road=True, heading=0.0,
             position=np.zeros(2), lane=LANE,
         )  # fmt: skip
+        self.config = {"policy_frequency": 2}
         return len(self.resets), {"set": {"count": 0}}
 
     def step(self, action):
@@ -75,12 +78,15 @@ def test_progress_ends_off_the_road():
 def test_driving_monitor_adds_up():
     env = DrivingMonitor(
         Scripted(
-            (0.5, False, {"speed": 10.0, "count": 3, "lane_index": ("a", "b", 1)}),  # change
-            (-2.0, False, {"speed": 20.0, "count": 4, "lane_index": ("b", "c", 0)}),  # next road
-            (1.0, False, {"speed": 30.0, "count": 5, "lane_index": ("b", "c", 2)}),  # change
+            # A change of lanes, the next road, another change.
+            (0.5, False, {"speed": 10.0, "count": 3, "lane_index": ("a", "b", 1)}),
+            (-2.0, False, {"speed": 20.0, "count": 4, "lane_index": ("b", "c", 0),
+                           "heading": 0.2, "on_road": False}),
+            (1.0, False, {"speed": 30.0, "count": 5, "lane_index": ("b", "c", 2),
+                          "on_road": True}),
             (0.0, True, {"speed": 0.0, "count": 0, "crashed": True}),
         )
-    )
+    )  # fmt: skip
     for seed in (7, None):  # the second episode starts from nothing
         env.reset(seed=seed)
         infos = [env.step(0)[4] for _ in range(4)]
@@ -89,6 +95,7 @@ def test_driving_monitor_adds_up():
         assert episode.pop("t") >= 0
         assert episode == {
             "r": -0.5, "l": 4, "crashed": 1, "speed": 15.0, "lane_changes": 2, "vehicles": 3.0,
+            "progress": pytest.approx((10 * cos(0.2) + 20 + 30) / 2), "off_road": 0.25,
             "min_ttc": float("inf"), "seed": seed,
         }  # fmt: skip
 
@@ -127,6 +134,7 @@ def test_monitor_equals_a_loop_over_stock_highway_env(seed):
     ours.reset()
     actions = np.random.default_rng(seed).integers(5, size=10)
     rewards, speeds, lanes = [], [], [stock.unwrapped.vehicle.lane_index[2]]
+    start = stock.unwrapped.vehicle.position[0]
     for action in actions:
         _, reward, terminated, truncated, _ = stock.step(action)
         info = ours.step(action)[4]
@@ -140,9 +148,39 @@ def test_monitor_equals_a_loop_over_stock_highway_env(seed):
     assert episode["l"] == len(rewards)
     assert episode["speed"] == pytest.approx(np.mean(speeds))
     assert episode["crashed"] == stock.unwrapped.vehicle.crashed
+    way = stock.unwrapped.vehicle.position[0] - start  # the road is straight; speeds vary in a step
+    assert episode["progress"] == pytest.approx(way, rel=0.1)
+    assert episode["off_road"] == 0
     assert episode["lane_changes"] == np.count_nonzero(np.diff(lanes))
     assert episode["seed"] == seed
     assert (episode["min_ttc"] == 0) >= episode["crashed"]
+
+
+@pytest.mark.parametrize("env", ["highway-fast-v0", "intersection-v0", "racetrack-v0"])
+def test_rule_driver_is_highway_envs_own(env):
+    """Against stock highway-env with its own IDMVehicle put in by hand."""
+    with original_behavior(IDMVehicle):  # stock intersections change it for the whole process
+        ours = make_env(tiny(env), rule_driver=True)
+        stock = gym.make(env, config=ROAD if env == "highway-fast-v0" else {})
+        ours.reset(seed=3)
+        stock.reset(seed=3)
+        base = stock.unwrapped
+        ego = base.vehicle
+        driver = IDMVehicle(
+            base.road, ego.position, ego.heading, ego.speed,
+            getattr(ego, "target_lane_index", None), max(getattr(ego, "target_speeds", [40.0])),
+            getattr(ego, "route", None),
+        )  # fmt: skip
+        base.road.vehicles[base.road.vehicles.index(ego)] = driver
+        base.vehicle = base.action_type.controlled_vehicle = driver
+        for _ in range(5):
+            action = ours.action_space.sample()  # of no effect
+            neutral = 1 if isinstance(ours.action_space, gym.spaces.Discrete) else action * 0
+            returned, expected = ours.step(action), stock.step(neutral)
+            assert list(ours.unwrapped.vehicle.position) == list(driver.position)
+            if returned[2] or expected[2]:
+                break
+        assert ours.unwrapped.vehicle.speed == driver.speed
 
 
 def test_sac_changes_the_scenario_and_ppo_does_not():

@@ -72,7 +72,7 @@ def test_stopping_gives_what_has_ended():
 
 def test_summary():
     def episode(reward, crashed, ttc):
-        return Episode(0, reward, 10, crashed, 20.0, 1, 5.0, ttc)
+        return Episode(0, reward, 10, crashed, 20.0, 200.0, 0.0, 1, 5.0, ttc)
 
     summary = Summary.of(
         [episode(1.0, True, 0.0), episode(3.0, False, 4.0), episode(2.0, False, float("inf"))]

@@ -17,7 +17,8 @@ from esc_agents.evaluate import Episode, Summary, as_rows
 def summary(mean, ttc=1.0):
     """Ten episodes with returns mean - 1 and mean + 1."""
     returns = [mean - 1, mean + 1] * 5
-    return Summary.of([Episode(i, r, 5, i < 3, 25.0, 1, 4.0, ttc) for i, r in enumerate(returns)])
+    drives = [Episode(i, r, 5, i < 3, 25.0, 99.0, 0.0, 1, 4.0, ttc) for i, r in enumerate(returns)]
+    return Summary.of(drives)
 
 
 @pytest.fixture

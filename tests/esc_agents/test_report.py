@@ -5,7 +5,7 @@ from esc_agents.report import results_table, show
 
 
 def test_table_shows_numbers_and_intervals(capsys):
-    summary = Summary(20, 12.3, 10.0, 14.6, 0.25, 0.11, 0.47, 24.6, 28.0, 3.0, 7.5, inf)
+    summary = Summary(20, 12.3, 10.0, 14.6, 0.25, 0.11, 0.47, 24.6, 688.8, 0.0, 28.0, 3.0, 7.5, inf)
     show(results_table("highway-v0: 20 episodes", {"esc": summary, "[odd] name": summary}))
     text = capsys.readouterr().out
     assert "highway-v0: 20 episodes" in text

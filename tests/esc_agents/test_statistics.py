@@ -1,9 +1,19 @@
+from itertools import product
 from math import sqrt
 
+import numpy as np
 import pytest
 from scipy import stats
 
-from esc_agents.statistics import mean_interval, wilson_interval
+from esc_agents.statistics import (
+    Estimate,
+    difference_of_means,
+    interquartile_mean,
+    mean_interval,
+    mean_of_runs,
+    probability_of_improvement,
+    wilson_interval,
+)
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(0, 1), (1, 1), (3, 10), (50, 100), (0, 20)])
@@ -35,3 +45,51 @@ def test_mean_interval_is_students():
 def test_mean_interval_without_spread():
     assert mean_interval([7.0]) == (7.0, 7.0, 7.0)
     assert mean_interval([2.0, 2.0, 2.0]) == (2.0, 2.0, 2.0)
+
+
+def test_interquartile_mean_leaves_a_quarter_out_at_either_end():
+    assert interquartile_mean([[0, 1, 2, 3, 100, -50, 4, 5]]).value == (1 + 2 + 3 + 4) / 4
+    assert interquartile_mean([[0.0, 100.0], [1.0, 2.0]]).value == 1.5  # over all strata together
+    assert interquartile_mean([[3.0]]) == Estimate(3.0, 3.0, 3.0)
+
+
+def test_bootstrap_interval_of_a_mean_against_every_resample():
+    """Of three runs there are 27 resamples: the interval's ends are quantiles of their means."""
+    values = [1.0, 2.0, 6.0]
+    means = sorted(sum(drawn) / 3 for drawn in product(values, repeat=3))
+    estimate = mean_of_runs([values])
+    assert estimate.value == 3.0
+    assert means[0] <= estimate.low <= means[1] < means[-2] <= estimate.high <= means[-1]
+
+
+def test_strata_are_resampled_apart():
+    """No run of a stratum takes the place of one of another: without spread in each, none."""
+    assert mean_of_runs([[1.0, 1.0], [5.0, 5.0]]) == Estimate(3.0, 3.0, 3.0)
+    assert mean_of_runs([[1.0, 3.0], [5.0]]) == Estimate(3.0, 3.0, 3.0)  # one run: no spread known
+    estimate = mean_of_runs([[1.0, 3.0], [50.0, 50.0]])
+    assert (estimate.low, estimate.value, estimate.high) == (25.5, 26.0, 26.5)
+
+
+def test_the_same_runs_have_the_same_interval():
+    values = [list(np.random.default_rng(1).normal(size=5)) for _ in range(3)]
+    assert interquartile_mean(values) == interquartile_mean(values)
+
+
+def test_probability_of_improvement_counts_pairs():
+    ours, theirs = [[1.0, 4.0], [2.0, 2.0]], [[2.0, 3.0, 4.0], [2.0, 2.0]]
+    # First stratum: 1 beats none of three, 4 beats two and ties with one; the second is a tie.
+    assert probability_of_improvement(ours, theirs).value == ((2.5 / 6) + 0.5) / 2
+    estimate = probability_of_improvement([[5.0, 6.0, 7.0]], [[1.0, 2.0]])
+    assert estimate == Estimate(1.0, 1.0, 1.0)
+
+
+def test_difference_of_means_is_welchs():
+    ours, theirs = [1.0, 2.0, 3.0, 5.0], [0.0, 0.5, 0.25]
+    v1, v2 = np.var(ours, ddof=1) / 4, np.var(theirs, ddof=1) / 3
+    freedom = (v1 + v2) ** 2 / (v1**2 / 3 + v2**2 / 2)
+    half = stats.t.ppf(0.975, freedom) * sqrt(v1 + v2)
+    estimate = difference_of_means(ours, theirs)
+    assert estimate.value == 2.5
+    assert (estimate.low, estimate.high) == pytest.approx((2.5 - half, 2.5 + half))
+    assert difference_of_means([1.0], [0.0, 2.0]) == Estimate(0.0, 0.0, 0.0)
+    assert difference_of_means([2.0, 2.0], [1.0, 1.0]) == Estimate(1.0, 1.0, 1.0)

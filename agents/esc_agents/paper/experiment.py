@@ -18,9 +18,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from esc_agents.errors import UserError
 from esc_agents.paper import results
-from esc_agents.paper.results import Damaged, Result
+from esc_agents.paper.results import Result
 from esc_agents.paper.targets import MAX_VEHICLES
 from esc_agents.paper.training import CODE_DIM, Cell, overtaking, train
+from esc_agents.records import Damaged
 from esc_agents.run import versions
 from esc_agents.train import say
 from esc_gym.encoders import APEncoder, representation

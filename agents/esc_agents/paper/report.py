@@ -12,7 +12,7 @@ from rich import table as rich
 from esc_agents.document import Block, Heading, Picture, Rows, Text, write
 from esc_agents.errors import UserError
 from esc_agents.paper import figures
-from esc_agents.paper.results import Damaged, Result, read_file
+from esc_agents.paper.results import Result, read_file
 from esc_agents.paper.table import (
     Table,
     as_csv,
@@ -26,6 +26,7 @@ from esc_agents.paper.table import (
 )
 from esc_agents.paper.targets import MAX_VEHICLES
 from esc_agents.paper.training import CODE_DIM, overtaking
+from esc_agents.records import Damaged
 from esc_agents.report import show
 from esc_agents.run import write_text
 from esc_agents.train import say

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
+from esc_agents import records
 from esc_agents.paper.training import CODE_DIM, Cell, Point
-from esc_agents.run import write_text
+from esc_agents.records import Damaged
 
 SCHEMA = 1
-
-
-class Damaged(Exception):
-    """A result file that is not what was written; says which and why."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +42,7 @@ def path_of(folder: Path, cell: Cell) -> Path:
 
 def write(folder: Path, result: Result) -> None:
     """Write a cell's file at once: it is there whole, or not at all."""
-    content = {"schema": SCHEMA, **asdict(result)}
-    record = {"sha256": _digest(content), **content}
-    write_text(path_of(folder, result.cell), json.dumps(record, indent=1) + "\n")
+    records.write(path_of(folder, result.cell), SCHEMA, asdict(result))
 
 
 def read(folder: Path, cell: Cell) -> Result | None:
@@ -66,22 +58,12 @@ def read(folder: Path, cell: Cell) -> Result | None:
 
 def read_file(path: Path) -> Result:
     """The result in a file. Raises Damaged."""
+    record = records.read(path, SCHEMA)
     try:
-        record = json.loads(path.read_bytes())
-        if record.pop("sha256") != _digest(record):
-            raise Damaged(f"{path}: its contents do not match their checksum")
-        if record.pop("schema") != SCHEMA:
-            raise Damaged(f"{path}: written by another version of esc-paper")
         points = [
             Point(point["update"], {int(size): e for size, e in point["errors"].items()})
             for point in record.pop("points")
         ]
         return Result(cell=Cell(**record.pop("cell")), points=points, **record)
-    except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
+    except (ValueError, AttributeError, KeyError, TypeError) as error:
         raise Damaged(f"{path}: not a whole result of esc-paper ({error!r})") from error
-
-
-def _digest(content: dict[str, Any]) -> str:
-    # Through JSON once, which turns the keys of ``errors`` into text.
-    plain = json.loads(json.dumps(content))
-    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
