@@ -5,7 +5,7 @@ from __future__ import annotations
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import (
@@ -29,7 +29,8 @@ Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]  # what NumPy takes
 
 
-def _flow(value: Any) -> str:
+def flow(value: Any) -> str:
+    """YAML on one line."""
     return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10**6).strip()
 
 
@@ -46,20 +47,23 @@ _YamlArgument = PrimitiveConstructorSpec(
     metavar="YAML",
     instance_from_str=_from_yaml,
     is_instance=lambda value: isinstance(value, dict),
-    str_from_instance=lambda value: [_flow(value)],
+    str_from_instance=lambda value: [flow(value)],
 )
+M = TypeVar("M", bound=BaseModel)
 Mapping = Annotated[dict[str, Any], _YamlArgument]
 Ranges = Annotated[dict[str, tuple[float, float]], _YamlArgument]
 
 
-class _Model(BaseModel):
+class Model(BaseModel):
+    """Base of all configurations: strict, frozen, documented."""
+
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True,
         ser_json_inf_nan="constants",  # in a mapping for highway-env they may be meant
     )  # fmt: skip
 
 
-class ObservationConfig(_Model):
+class ObservationConfig(Model):
     """Arguments of esc_gym.SetObservation."""
 
     max_vehicles: PositiveInt | None = None
@@ -84,7 +88,7 @@ class ObservationConfig(_Model):
     """Simulate with compiled code, on the same trajectories."""
 
 
-class EncoderConfig(_Model):
+class EncoderConfig(Model):
     """The features extractor."""
 
     hidden: tuple[PositiveInt, ...] = (64, 64)
@@ -97,7 +101,7 @@ class EncoderConfig(_Model):
     """Further arguments of the encoder class, e.g. {scale: 0.1} or {slots: 15}."""
 
 
-class ContinuousConfig(_Model):
+class ContinuousConfig(Model):
     """What --algo sac changes in a scenario."""
 
     env_config: Mapping = {}
@@ -108,7 +112,7 @@ class ContinuousConfig(_Model):
     """End the episode where the ego leaves the road."""
 
 
-class PPOConfig(_Model):
+class PPOConfig(Model):
     """Stable-Baselines3 PPO."""
 
     learning_rate: PositiveFloat = 5e-4
@@ -128,7 +132,7 @@ class PPOConfig(_Model):
     """Hidden widths of the policy and of the value network after the features extractor."""
 
 
-class SACConfig(_Model):
+class SACConfig(Model):
     """Stable-Baselines3 SAC."""
 
     learning_rate: PositiveFloat = 3e-4
@@ -143,7 +147,7 @@ class SACConfig(_Model):
     """Hidden widths of the actor and of the critics after the features extractor."""
 
 
-class EvaluationConfig(_Model):
+class EvaluationConfig(Model):
     """Evaluation during training and at its end, on fixed seeds that training never sees."""
 
     every: PositiveInt | None = None
@@ -153,7 +157,7 @@ class EvaluationConfig(_Model):
     """Seed of the first episode; the others follow."""
 
 
-class TrainConfig(_Model):
+class TrainConfig(Model):
     """One training run."""
 
     env: str = "highway-v0"
@@ -198,21 +202,32 @@ def configs_folder() -> Path:
     return packaged if packaged.is_dir() else Path(__file__).parents[2] / "configs"
 
 
+def shipped(kind: str) -> dict[str, Path]:
+    """The YAML files that come with the package, by name. kind: "train" or "compare"."""
+    return {path.stem: path for path in sorted((configs_folder() / kind).glob("*.yaml"))}
+
+
 def scenarios() -> dict[str, Path]:
     """The shipped training scenarios by name."""
-    return {path.stem: path for path in sorted((configs_folder() / "train").glob("*.yaml"))}
+    return shipped("train")
 
 
 def load_config(name: str | Path) -> TrainConfig:
     """A training configuration: an existing YAML file, or a shipped scenario's name."""
+    return load(name, "train", TrainConfig)
+
+
+def load(name: str | Path, kind: str, model: type[M]) -> M:
+    """A configuration of a kind: an existing YAML file, or a shipped one's name."""
     path = Path(name)
     if not path.is_file():
-        shipped = scenarios()
-        if str(name) not in shipped:
+        known = shipped(kind)
+        if str(name) not in known:
+            what = "scenario" if kind == "train" else kind
             raise UserError(
-                f"config: no file {str(name)!r} and no such scenario{_nearest(str(name), shipped)}"
+                f"config: no file {str(name)!r} and no such {what}{_nearest(str(name), known)}"
             )
-        path = shipped[str(name)]
+        path = known[str(name)]
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -224,20 +239,20 @@ def load_config(name: str | Path) -> TrainConfig:
             f"config {path}: expected schema {SCHEMA}, got {schema!r}; it is of another esc-gym"
         )
     try:
-        return TrainConfig.model_validate(values)
+        return model.model_validate(values)
     except ValidationError as error:
-        raise UserError(f"config {path}: {explain(error)}") from error
+        raise UserError(f"config {path}: {explain(error, model)}") from error
 
 
 def config_for_env(env: str) -> TrainConfig:
     """The defaults for ``--env``: a scenario, or an id with the scenario of its name if shipped."""
     env = env.removeprefix(f"{NAMESPACE}/")
-    shipped = scenarios()
-    if env in shipped:
+    known = scenarios()
+    if env in known:
         return load_config(env)
     check_env_id(env)
     family = env.rpartition("-v")[0]
-    base = load_config(family) if family in shipped else TrainConfig()
+    base = load_config(family) if family in known else TrainConfig()
     return base.model_copy(update={"env": env})
 
 
@@ -253,12 +268,11 @@ def check_env_id(env: str) -> None:
         raise UserError(f"env: unknown environment or scenario {env!r}{_nearest(env, known)}")
 
 
-def explain(error: ValidationError) -> str:
+def explain(error: ValidationError, model: type[BaseModel] = TrainConfig) -> str:
     """The first problem of a validation on one line: key, what was expected, what came."""
     first = error.errors()[0]
     keys = [str(part) for part in first["loc"]]
     if first["type"] == "extra_forbidden":
-        model: Any = TrainConfig
         for key in keys[:-1]:
             model = _submodel(model, key)
         return f"unknown key {'.'.join(keys)!r}{_nearest(keys[-1], model.model_fields)}"

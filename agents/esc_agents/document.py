@@ -73,24 +73,31 @@ class Rows:
         )
 
 
-class Picture:
-    """A figure, also written as ``name``.png. alt: what it shows, for those who don't see it."""
+@dataclass(frozen=True)
+class Image:
+    """An image, also written as a file. alt: what it shows, for those who don't see it."""
 
-    def __init__(self, name: str, figure: Figure, alt: str) -> None:
-        image = BytesIO()
-        # Without the version of matplotlib in it, the same figure is the same file.
-        figure.savefig(image, format="png", dpi=150, metadata={"Software": None})
-        self.file, self.png, self.alt = f"{name}.png", image.getvalue(), alt
+    file: str
+    data: bytes
+    alt: str
 
     def markdown(self) -> str:
         return f"![{self.alt}]({self.file})"
 
     def html(self) -> str:
-        source = f"data:image/png;base64,{b64encode(self.png).decode()}"
+        source = f"data:image/{Path(self.file).suffix[1:]};base64,{b64encode(self.data).decode()}"
         return f'<img src="{source}" alt="{escape(self.alt)}">'
 
 
-Block = Heading | Text | Rows | Picture
+def picture(name: str, figure: Figure, alt: str) -> Image:
+    """A figure as ``name``.png."""
+    image = BytesIO()
+    # Without the version of matplotlib in it, the same figure is the same file.
+    figure.savefig(image, format="png", dpi=150, metadata={"Software": None})
+    return Image(f"{name}.png", image.getvalue(), alt)
+
+
+Block = Heading | Text | Rows | Image
 
 PAGE = Template("""\
 <!doctype html>
@@ -110,7 +117,9 @@ img { max-width: 100%; height: auto; margin: 1rem 0; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 0.86rem; font-variant-numeric: tabular-nums; }
 th, td { padding: 0.25rem 0.6rem; text-align: right; white-space: nowrap; }
-th:first-child, td:first-child { text-align: left; }
+th:first-child, td:first-child { text-align: left; position: sticky; left: 0;
+                                 background: inherit; }
+table, tr { background: #fff; }
 thead th { border-bottom: 2px solid #1b1f24; white-space: normal; vertical-align: bottom; }
 tbody tr:nth-child(even) { background: #f3f5f7; }
 code { background: #f3f5f7; padding: 0.1rem 0.3rem; border-radius: 3px; overflow-wrap: anywhere; }
@@ -128,10 +137,10 @@ def write(folder: Path, name: str, title: str, blocks: Sequence[Block]) -> list[
     """Write ``name``.md with its pictures, and ``name``.html, which needs no other file."""
     paths = [folder / f"{name}.md", folder / f"{name}.html"]
     for block in blocks:
-        if isinstance(block, Picture):
-            png = block.png
+        if isinstance(block, Image):
+            data = block.data
             paths.append(folder / block.file)
-            write_atomically(paths[-1], lambda file, png=png: file.write(png))
+            write_atomically(paths[-1], lambda file, data=data: file.write(data))
     text = "\n\n".join([f"# {title}", *(block.markdown() for block in blocks)])
     write_text(paths[0], text + "\n")
     body = "\n".join(block.html() for block in blocks)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -175,3 +176,9 @@ def _random(space: gym.Space, count: int, seed: int) -> Policy:
 def as_rows(results: dict[str, Summary]) -> list[dict[str, Any]]:
     """Results by policy as plain rows, for JSON."""
     return [{"policy": name, **asdict(summary)} for name, summary in results.items()]
+
+
+def summaries(rows: Sequence[dict[str, Any]]) -> dict[str, Summary]:
+    """``as_rows`` back; JSON has null for no time to collision."""
+    values: list[Any] = [{k: inf if v is None else v for k, v in row.items()} for row in rows]
+    return {row.pop("policy"): Summary(**row) for row in values}

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,7 +26,7 @@ from esc_agents import run
 from esc_agents.cli import guarded, parse
 from esc_agents.config import TrainConfig, load_config, scenarios
 from esc_agents.errors import UserError
-from esc_agents.evaluate import Summary, read_evaluations
+from esc_agents.evaluate import Summary, read_evaluations, summaries
 from esc_agents.report import markdown
 from esc_agents.statistics import mean_interval
 from esc_agents.train import say
@@ -68,7 +68,7 @@ class Run:
         config = run.open_run(path)
         run.verify(path, "results.json", "evaluations.npz", "metrics.csv", "versions.json")
         try:
-            results = _summaries(json.loads((path / "results.json").read_text(encoding="utf-8")))
+            results = summaries(json.loads((path / "results.json").read_text(encoding="utf-8")))
             saved = read_evaluations(path / "evaluations.npz")
             curve = saved["timesteps"], saved["results"]
             with (path / "metrics.csv").open(newline="", encoding="utf-8") as file:
@@ -94,12 +94,6 @@ class Run:
     def above(self) -> bool:
         """Whether the trained interval lies above that of every blind policy."""
         return self.trained.reward_low > self.blind[self.best_blind].reward_high
-
-
-def _summaries(rows: list[dict[str, Any]]) -> dict[str, Summary]:
-    """``as_rows`` back; JSON has null for no time to collision."""
-    values: list[Any] = [{k: inf if v is None else v for k, v in row.items()} for row in rows]
-    return {row.pop("policy"): Summary(**row) for row in values}
 
 
 def main() -> None:

@@ -122,6 +122,11 @@ def note_session(path: Path, config: TrainConfig) -> None:
     """Keep what this session, the first or one that resumes, is to do, and add its command."""
     (path / CHECKSUMS).unlink(missing_ok=True)  # they are of a session that has ended
     write_text(path / "config.yaml", f"# esc-train --config {path}/config.yaml\n{dump(config)}")
+    note_command(path)
+
+
+def note_command(path: Path) -> None:
+    """Add the command of this process to command.txt."""
     commands = path / "command.txt"
     before = commands.read_text(encoding="utf-8") if commands.is_file() else ""
     write_text(commands, before + shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) + "\n")

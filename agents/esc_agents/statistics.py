@@ -74,7 +74,8 @@ def _wins(x: NDArray, y: NDArray) -> NDArray:
 def difference_of_means(ours: Sequence[float], theirs: Sequence[float]) -> Estimate:
     """ours - theirs, with Welch's t interval, which keeps its level with few runs."""
     value = float(np.mean(ours) - np.mean(theirs))
-    if min(len(ours), len(theirs)) < 2 or np.ptp(ours) == np.ptp(theirs) == 0:
+    spread = max(np.ptp(ours), np.ptp(theirs))
+    if min(len(ours), len(theirs)) < 2 or spread <= 1e-9 * np.max(np.abs([*ours, *theirs])):
         return Estimate(value, value, value)
     interval = stats.ttest_ind(ours, theirs, equal_var=False).confidence_interval()
     return Estimate(value, float(interval.low), float(interval.high))

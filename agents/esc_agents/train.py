@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from functools import partial
@@ -16,6 +16,7 @@ import gymnasium as gym
 import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
@@ -99,11 +100,15 @@ def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
         raise UserError(f"{config.algo}: buffer_size, n_steps or n_envs: {error}") from error
 
 
-def train(config: TrainConfig, *, resume: Path | None = None, trust: bool = False) -> bool:
+def train(
+    config: TrainConfig, *, resume: Path | None = None, trust: bool = False,
+    listeners: Sequence[BaseCallback] = (),
+) -> bool:  # fmt: skip
     """Train as ``config`` says; prints the results. False where a signal ended it early.
 
     resume: an existing run directory, which goes on from its last checkpoint as if it had never
     stopped. trust: also from a checkpoint that somebody else wrote, which can run their code.
+    listeners: further callbacks, which must not change the training.
     """
     directory = resume or config.run_dir or run.default_run_dir(config)
     with _said(directory), ExitStack() as stack:
@@ -120,7 +125,7 @@ def train(config: TrainConfig, *, resume: Path | None = None, trust: bool = Fals
         else:
             run.create(directory, config, wrapper_json(probe), str(model.device))
             stack.enter_context(run.locked(directory))
-        training = Training(config, directory, model, probe, judges)
+        training = Training(config, directory, model, probe, judges, listeners)
         say(describe(config, model, probe, directory))
         return training.run(found)
 
@@ -240,8 +245,9 @@ class Training:
 
     def __init__(
         self, config: TrainConfig, directory: Path, model: BaseAlgorithm, probe: gym.Env,
-        judges: VecEnv,
+        judges: VecEnv, listeners: Sequence[BaseCallback],
     ) -> None:  # fmt: skip
+        self.listeners = listeners
         self.config, self.directory, self.model = config, directory, model
         self.probe, self.judges = probe, judges
         self.save_policy = partial(
@@ -289,8 +295,8 @@ class Training:
         try:
             if begun < config.steps:
                 model.learn(
-                    config.steps - begun, callback=list(callbacks), reset_num_timesteps=False,
-                    progress_bar=sys.stderr.isatty(),
+                    config.steps - begun, callback=[*callbacks, *self.listeners],
+                    reset_num_timesteps=False, progress_bar=sys.stderr.isatty(),
                 )  # fmt: skip
                 model.logger.dump(model.num_timesteps)
                 saved.model = model

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,16 @@ def _without_screen() -> Iterator[None]:
 
 def film(config: TrainConfig, policy: Policy, seed: int, folder: Path, shuffle: bool) -> Path:
     """Drive one episode in front of the camera into ``folder``; the GIF plays in real time."""
+    path = folder / f"seed-{seed}.gif"
+    data = gif(*record(config, policy, seed, shuffle=shuffle))
+    write_atomically(path, lambda file: file.write(data))
+    return path
+
+
+def record(
+    config: TrainConfig, policy: Policy, seed: int, *, shuffle: bool = False
+) -> tuple[list[Image.Image], float]:
+    """(frames of one episode, frames a second)."""
     env: Any = make_env(config, shuffle=shuffle, render_mode="rgb_array")
     observation, _ = env.reset(seed=seed)
     camera = _Camera(env)
@@ -66,13 +77,15 @@ def film(config: TrainConfig, policy: Policy, seed: int, folder: Path, shuffle: 
     rate = env.unwrapped.config["simulation_frequency"]
     env.close()
     every = max(1, round(rate / MAX_FPS))
-    frames = camera.frames[::every] + [camera.frames[-1]] * 5  # rest on the end
-    path = folder / f"seed-{seed}.gif"
-    write_atomically(
-        path,
-        lambda file: frames[0].save(
-            file, format="GIF", save_all=True, append_images=frames[1:], loop=0,
-            duration=round(1000 * every / rate),
-        ),
+    return camera.frames[::every] + camera.frames[-1:], rate / every
+
+
+def gif(frames: Sequence[Image.Image], rate: float) -> bytes:
+    """An animation that plays in real time and rests on its end."""
+    file = BytesIO()
+    frames = [*frames, *[frames[-1]] * 4]
+    frames[0].save(
+        file, format="GIF", save_all=True, append_images=frames[1:], loop=0,
+        duration=round(1000 / rate),
     )  # fmt: skip
-    return path
+    return file.getvalue()

@@ -6,7 +6,7 @@ from base64 import b64encode
 
 from matplotlib.figure import Figure
 
-from esc_agents.document import Heading, Picture, Rows, Text, write
+from esc_agents.document import Heading, Rows, Text, picture, write
 
 
 def test_both_forms(tmp_path):
@@ -15,7 +15,7 @@ def test_both_forms(tmp_path):
         Heading("Results"),
         Rows([["name", "error"], ["esc", "**1**"], ["fp", "2"]]),
         Text("one\ntwo", bullets=True),
-        Picture("dots", Figure(figsize=(1, 1)), 'what "it" shows'),
+        picture("dots", Figure(figsize=(1, 1)), 'what "it" shows'),
     ]
     paths = write(tmp_path, "page", "A < B", blocks)
     assert [path.name for path in paths] == ["page.md", "page.html", "dots.png"]
@@ -40,5 +40,5 @@ def test_both_forms(tmp_path):
 
 
 def test_the_same_figure_is_the_same_file():
-    first, second = (Picture("x", Figure(), "nothing") for _ in range(2))
-    assert first.png == second.png
+    first, second = (picture("x", Figure(), "nothing") for _ in range(2))
+    assert first.data == second.data

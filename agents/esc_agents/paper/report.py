@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from rich import table as rich
 
-from esc_agents.document import Block, Heading, Picture, Rows, Text, write
+from esc_agents.document import Block, Heading, Rows, Text, picture, write
 from esc_agents.errors import UserError
 from esc_agents.paper import figures
 from esc_agents.paper.results import Result, read_file
@@ -88,12 +88,12 @@ def summary(results: Sequence[Result], table: Table) -> Iterator[Block]:
     yield Rows(list(rows(entries(results, 0.5), roots(published()))))
     yield Heading("Final errors")
     names = ", ".join(title_of(column) for column in columns_of(table))
-    yield Picture("bars", figures.bars(table), f"Final errors of {names}, by benchmark and M")
+    yield picture("bars", figures.bars(table), f"Final errors of {names}, by benchmark and M")
     yield Heading("Training curves")
     yield Text("Mean squared error on the test sets; bands are 95 % intervals over seeds.")
     for benchmark in sorted({key[0] for key in table}):
         alt = f"Benchmark {benchmark}: error over updates of {names}"
-        yield Picture(f"curves-{benchmark}", figures.curves(results, benchmark), alt)
+        yield picture(f"curves-{benchmark}", figures.curves(results, benchmark), alt)
 
 
 def studies(results: Sequence[Result]) -> Iterator[Block]:
@@ -122,7 +122,7 @@ def _places(benchmark: int, found: Sequence[Result]) -> Iterator[Block]:
         f"largest change of the output while j grows by {j[1] - j[0]:.2f}: {', '.join(jumps)}."
     )
     figure = figures.change_of_places(found)
-    yield Picture(f"places-{benchmark}", figure, "Outputs over j: FP jumps at j = 1, ESC does not")
+    yield picture(f"places-{benchmark}", figure, "Outputs over j: FP jumps at j = 1, ESC does not")
 
 
 def _truncation(benchmark: int, found: Sequence[Result]) -> Iterator[Block]:
@@ -139,7 +139,7 @@ def _truncation(benchmark: int, found: Sequence[Result]) -> Iterator[Block]:
         and r.cell.code_dim == CODE_DIM
     ]  # fmt: skip
     alt = "Error of FP over Z, beside that of ESC"
-    yield Picture(f"truncation-{benchmark}", figures.truncation(chosen), alt)
+    yield picture(f"truncation-{benchmark}", figures.truncation(chosen), alt)
 
 
 def _code_dims(benchmark: int, found: Sequence[Result]) -> Iterator[Block]:
@@ -156,7 +156,7 @@ def _code_dims(benchmark: int, found: Sequence[Result]) -> Iterator[Block]:
             for d in sorted({r.cell.code_dim for r in chosen})}  # fmt: skip
     yield Rows([["d3", "mean squared error over M = 5, 10, 15, 20"],
                 *([str(d), f"{error:.3g}"] for d, error in best.items())])  # fmt: skip
-    yield Picture(f"code-dim-{benchmark}", figures.code_dims(chosen), "Error of ESC over d3")
+    yield picture(f"code-dim-{benchmark}", figures.code_dims(chosen), "Error of ESC over d3")
 
 
 def provenance(results: Sequence[Result]) -> Iterator[Block]:

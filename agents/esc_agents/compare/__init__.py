@@ -1,0 +1,1 @@
+"""Representations side by side: the grid, its engines, what is measured, the report."""

@@ -1,0 +1,164 @@
+"""The whole comparison: what is missing is trained and measured, then the report is written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from esc_agents.checks import check
+from esc_agents.compare import store
+from esc_agents.compare.engines import Engine
+from esc_agents.compare.estimate import cost
+from esc_agents.compare.grid import (
+    Candidate,
+    Cell,
+    CompareConfig,
+    candidates,
+    check_transfer,
+    scenario,
+    study_cells,
+    train_config,
+    tuning_cells,
+)
+from esc_agents.compare.jobs import BaselineJob, Interrupted, Job, TrainJob
+from esc_agents.compare.progress import Board
+from esc_agents.compare.report import write_report
+from esc_agents.compare.store import Tuned
+from esc_agents.errors import UserError
+from esc_agents.report import show
+from esc_agents.run import note_command
+from esc_agents.train import say
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be done. slots: Z of each scenario; tuning, study: all runs, finished or not."""
+
+    config: CompareConfig
+    slots: dict[str, int]
+    tuning: list[Cell]
+    study: list[Cell]
+
+    def steps(self, cell: Cell) -> int:
+        """Training steps of a run."""
+        return train_config(self.config, cell, self.slots[cell.env]).steps
+
+
+def plan(config: CompareConfig) -> Plan:
+    """Looks at everything that a user can get wrong. Raises UserError."""
+    check_transfer(config)
+    slots = {}
+    for env in config.env:
+        for traffic in ("", *config.transfer.get(env, {})):
+            base = scenario(config, env, traffic)
+            for repr in config.repr:
+                check(base.model_copy(update={"repr": repr}))
+        n = vehicles(config, env)
+        slots[env] = min(config.slots or n, n)
+    return Plan(config, slots, tuning_cells(config), study_cells(config))
+
+
+def vehicles(config: CompareConfig, env: str) -> int:
+    """N of a scenario."""
+    space: Any = check(scenario(config, env)).observation_space
+    return space["vehicles"].shape[0]
+
+
+def compare(config: CompareConfig, out: Path, engine: Engine) -> None:
+    """Do what ``out`` does not hold yet, and write its report."""
+    planned = plan(config)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"--out {out}: {error.strerror}") from error
+    for env in config.env:
+        store.begin_task(out, config, env)
+    note_command(out)
+    unfinished(planned.study, out)  # a damaged result is said before anything is trained
+    tasks = [BaselineJob(config, env) for env in config.env]
+    jobs: list[Job] = [job for job in tasks if store.baselines(job.files(out)[0].parent) is None]
+    jobs += [
+        TrainJob(config, cell, planned.slots[cell.env]) for cell in unfinished(planned.tuning, out)
+    ]
+    _run("Baselines and tuning", jobs, planned, out, engine)
+    chosen = [replace(cell, candidate=choice(planned, cell, out)) for cell in planned.study]
+    jobs = [TrainJob(config, cell, planned.slots[cell.env]) for cell in unfinished(chosen, out)]
+    say(f"{len(chosen)} runs, {len(chosen) - len(jobs)} of them finished, into {out}")
+    _run("Study", jobs, planned, out, engine)
+    write_report(out)
+
+
+def unfinished(cells: Sequence[Cell], out: Path) -> list[Cell]:
+    """Those without a result yet."""
+    return [cell for cell in cells if store.read(out, cell) is None]
+
+
+def choice(planned: Plan, cell: Cell, out: Path) -> Candidate:
+    """The candidate of highest mean return for a representation in a scenario."""
+    tried = candidates(planned.config.tuning)
+    if len(tried) == 1:
+        return tried[0]
+    returns: dict[Candidate, list[float]] = {candidate: [] for candidate in tried}
+    for other in planned.tuning:
+        if (other.env, other.repr) == (cell.env, cell.repr):
+            found = store.read(out, other)
+            assert isinstance(found, Tuned)
+            returns[other.candidate] += found.returns
+    return max(tried, key=lambda candidate: np.mean(returns[candidate]))
+
+
+def _run(title: str, jobs: Sequence[Job], planned: Plan, out: Path, engine: Engine) -> None:
+    if not jobs:
+        return
+    steps = {job.name: planned.steps(job.cell) for job in jobs if isinstance(job, TrainJob)}
+    with Board(title, jobs, steps) as board:
+        engine.run(jobs, out, board.done, board.post)
+    failed = [(job, error) for job, error in board.failed if not isinstance(error, Interrupted)]
+    if failed:
+        job, error = failed[0]
+        reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
+        raise UserError(
+            f"{len(failed)} of {len(jobs)} jobs failed, the rest is kept; the first is {job.name}: "
+            f"{reason}"
+        )
+    if board.failed:
+        raise KeyboardInterrupt
+
+
+def dry_run(config: CompareConfig, out: Path, workers: int) -> None:
+    """Print the grid, and what it will take on this machine."""
+    planned = plan(config)
+    table = Table(title="Grid", title_justify="left")
+    for column in ("scenario", "repr", "N", "Z", "tuning runs", "runs", "finished", "steps each"):
+        table.add_column(column, justify="left" if column in ("scenario", "repr") else "right")
+    for env in config.env:
+        n = vehicles(config, env)
+        for repr in config.repr:
+            tuning, study = (
+                [cell for cell in cells if (cell.env, cell.repr) == (env, repr)]
+                for cells in (planned.tuning, planned.study)
+            )
+            finished = len(study) - len(unfinished(study, out))
+            slots = str(planned.slots[env]) if repr in ("fp", "ap") else ""
+            numbers = (n, slots, len(tuning), len(study), finished, f"{config.steps:,}")
+            table.add_row(env, repr, *map(str, numbers))
+    show(table)
+    seconds, memory = 0.0, 0
+    for env in config.env:
+        cells = [c for c in unfinished([*planned.tuning, *planned.study], out) if c.env == env]
+        if cells:
+            found = cost(train_config(config, cells[0], planned.slots[env]))
+            say(
+                f"{env}: {found.steps:,.0f} training steps/s, {found.memory / 2**20:,.0f} MiB a run"
+            )
+            seconds += sum(map(planned.steps, cells)) / found.steps
+            memory = max(memory, found.memory)
+    say(
+        f"Training: {seconds / 3600:.1f} h of one core, {seconds / 3600 / workers:.1f} h with "
+        f"{workers} workers; evaluations come on top. Memory: {workers * memory / 2**30:.1f} GiB."
+    )

@@ -1,0 +1,220 @@
+"""Where jobs run: processes of this machine, or a Ray cluster. The results are the same."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import socket
+import sys
+import tempfile
+import threading
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Protocol
+
+from esc_agents.compare.jobs import Job, Post, Progress, collected
+from esc_agents.errors import UserError
+from esc_agents.run import write_atomically
+
+SPAWN = get_context("spawn")  # torch's threads do not survive a fork
+CONNECT_SECONDS = 30
+RETRIES = 5  # of a job whose node or process was lost
+Done = Callable[[Job, Exception | None], None]
+_posts: Any = None  # of a local worker: the queue that takes its progress
+
+
+class Engine(Protocol):
+    """Runs jobs, as many at a time as fit."""
+
+    def run(self, jobs: Sequence[Job], out: Path, done: Done, post: Post) -> None:
+        """Calls ``done`` with every job and what it raised, ``post`` with what they report."""
+        ...
+
+
+class LocalEngine:
+    """Processes of this machine."""
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+
+    def run(self, jobs: Sequence[Job], out: Path, done: Done, post: Post) -> None:
+        posts = SPAWN.Queue()
+        count = min(self.workers, len(jobs))
+        pool = ProcessPoolExecutor(count, SPAWN, _start_worker, (posts, list(sys.path)))
+        running: dict[Future, Job] = {pool.submit(_work, job, out): job for job in jobs}
+        try:
+            while running:
+                ended, _ = wait(running, timeout=0.5, return_when="FIRST_COMPLETED")
+                for progress in _waiting(posts):
+                    post(progress)
+                for future in ended:
+                    job, error = running.pop(future), future.exception()
+                    if isinstance(error, BrokenProcessPool):
+                        raise UserError(
+                            "a process of the comparison died: killed, or out of memory; start "
+                            "again to go on, with fewer --workers if memory was short"
+                        )
+                    if isinstance(error, BaseException) and not isinstance(error, Exception):
+                        raise error
+                    done(job, error)
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _waiting(posts: Any) -> Iterator[Progress]:
+    while not posts.empty():
+        yield posts.get()
+
+
+def _start_worker(posts: Any, path: list[str]) -> None:
+    global _posts
+    _posts, sys.path[:] = posts, path
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """A worker whose comparison was killed must not train on: nobody would keep the result."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _work(job: Job, out: Path) -> None:
+    job.do(out, _posts.put)
+
+
+class RayEngine:
+    """Ray tasks, on this machine or on a cluster.
+
+    address: "local" starts a Ray of its own; "auto" finds one that runs here; else host:port.
+    Nodes that see the output directory work in it; from others the files are collected.
+    cpus: of one job. shared: whether nodes are to work in the output directory, None to find out.
+    """
+
+    def __init__(self, address: str, cpus: float, shared: bool | None = None) -> None:
+        try:
+            import ray
+        except ImportError as error:
+            raise UserError(
+                "--engine ray: Ray is not installed; install it with: pip install 'esc-gym[ray]'"
+            ) from error
+        self.ray: Any = ray
+        self.address, self.cpus, self.shared = address, cpus, shared
+
+    def run(self, jobs: Sequence[Job], out: Path, done: Done, post: Post) -> None:
+        self._connect()
+        try:
+            with _token(out) as token:
+                self._run(jobs, out, "" if self.shared is False else token, done, post)
+        finally:
+            self.ray.shutdown()
+
+    def _connect(self) -> None:
+        address, ray = self.address, self.ray
+        options: dict[str, Any] = {
+            "log_to_driver": False, "logging_level": logging.ERROR, "include_dashboard": False,
+        }  # fmt: skip
+        if address != "local":
+            options = {**options, "address": address}
+            del options["include_dashboard"]
+        if address not in ("local", "auto"):
+            _check_answers(address)
+        os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+        errors: list[BaseException] = []
+
+        def connect() -> None:
+            try:
+                ray.init(**options)
+            except BaseException as error:
+                errors.append(error)
+
+        # In a thread, since to something that isn't Ray it tries to connect for minutes.
+        thread = threading.Thread(target=connect, daemon=True)
+        thread.start()
+        thread.join(CONNECT_SECONDS if address != "local" else None)
+        if errors or thread.is_alive():
+            reason = str(errors[0]).splitlines()[0] if errors else "no answer"
+            raise UserError(
+                f"--address {address}: {reason}; start Ray there with: ray start --head"
+            )
+
+    def _run(self, jobs: Sequence[Job], out: Path, token: str, done: Done, post: Post) -> None:
+        ray = self.ray
+        board = ray.remote(num_cpus=0)(_Board).remote()
+        task = ray.remote(num_cpus=self.cpus, max_retries=RETRIES)(_do)
+        running = {task.remote(job, out, token, board): job for job in jobs}
+        while running:
+            ended, _ = ray.wait(list(running), timeout=0.5)
+            with suppress(ray.exceptions.RayError):
+                for progress in ray.get(board.take.remote()):
+                    post(progress)
+            for reference in ended:
+                job, error = running.pop(reference), None
+                try:
+                    for name, content in ray.get(reference).items():
+                        (out / name).parent.mkdir(parents=True, exist_ok=True)
+                        write_atomically(out / name, lambda file, data=content: file.write(data))
+                except ray.exceptions.RayTaskError as raised:
+                    error = raised.cause if isinstance(raised.cause, Exception) else raised
+                except ray.exceptions.RayError as raised:
+                    error = UserError(f"lost {RETRIES + 1} times: {str(raised).splitlines()[0]}")
+                done(job, error)
+
+
+def _check_answers(address: str) -> None:
+    host, colon, port = address.rpartition(":")
+    if not colon or not port.isdecimal():
+        raise UserError(f"--address: expected auto, local or host:port, got {address!r}")
+    try:
+        socket.create_connection((host, int(port)), timeout=10).close()
+    except OSError as error:
+        raise UserError(
+            f"--address {address}: {error.strerror or error}; start Ray with: ray start --head"
+        ) from error
+
+
+@contextmanager
+def _token(out: Path) -> Iterator[str]:
+    """Text of a file in the output directory, by which a node knows that it sees the same one."""
+    path, text = out / ".token", uuid.uuid4().hex
+    path.write_text(text)
+    try:
+        yield text
+    finally:
+        path.unlink(missing_ok=True)
+
+
+class _Board:
+    """Takes progress from tasks until the driver asks for it."""
+
+    def __init__(self) -> None:
+        self.posts: list[Progress] = []
+
+    def put(self, progress: Progress) -> None:
+        self.posts.append(progress)
+
+    def take(self) -> list[Progress]:
+        taken, self.posts = self.posts, []
+        return taken
+
+
+def _do(job: Job, out: Path, token: str, board: Any) -> dict[str, bytes]:
+    """A job on a node; returns its files where the node doesn't see the output directory."""
+
+    def post(progress: Progress) -> None:
+        board.put.remote(progress)
+
+    if token and (out / ".token").exists() and (out / ".token").read_text() == token:
+        job.do(out, post)
+        return {}
+    with tempfile.TemporaryDirectory() as folder:
+        here = Path(folder)
+        job.do(here, post)
+        return collected(job.files(here), here)

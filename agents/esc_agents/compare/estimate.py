@@ -1,0 +1,56 @@
+"""What a comparison will cost, from a short training of each of its scenarios on this machine."""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Any
+
+from esc_agents.config import TrainConfig
+from esc_agents.train import closing, new_model, vectorise
+
+SPAWN = get_context("spawn")
+LEAST_SECONDS = 2.0
+
+
+@dataclass(frozen=True)
+class Cost:
+    """steps: training steps a second, evaluations not counted; memory: of one process [bytes]."""
+
+    steps: float
+    memory: int
+
+
+def cost(config: TrainConfig) -> Cost:
+    """Measured in a process of its own, whose memory is that of a training run."""
+    with SPAWN.Pool(1) as pool:
+        return pool.apply(_cost, (config,))
+
+
+def _cost(config: TrainConfig) -> Cost:
+    with closing(vectorise(config, config.n_envs)) as envs:
+        model: Any = new_model(config, envs)
+        rollout = config.ppo.n_steps * config.n_envs
+        if config.algo == "sac":
+            rollout = config.sac.learning_starts + 100 * config.n_envs
+        model.learn(rollout)  # compiles, and collects what SAC starts with
+        begun, start = model.num_timesteps, time.perf_counter()
+        while (took := time.perf_counter() - start) < LEAST_SECONDS:
+            more = rollout if config.algo == "ppo" else 20 * config.n_envs
+            model.learn(more, reset_num_timesteps=False)
+        rate = (model.num_timesteps - begun) / took
+        unit = 1 if sys.platform == "darwin" else 1024
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+        return Cost(rate, memory + _unfilled(getattr(model, "replay_buffer", None)))
+
+
+def _unfilled(buffer: Any) -> int:
+    """Bytes of a replay buffer that the system has promised, and will have to give."""
+    if buffer is None:
+        return 0
+    arrays = [buffer.actions, buffer.rewards, buffer.dones, buffer.timeouts]
+    arrays += [*buffer.observations.values(), *buffer.next_observations.values()]
+    return sum(array.nbytes for array in arrays)

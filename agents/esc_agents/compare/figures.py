@@ -1,0 +1,160 @@
+"""The figures of a comparison, drawn from its analysis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from esc_agents.compare.analysis import (
+    Task,
+    duels,
+    overall_duels,
+    row,
+    transfer,
+)
+from esc_agents.statistics import Estimate, mean_interval
+
+# Okabe and Ito's colours, which colour-blind people tell apart.
+COLORS = {
+    "esc": "#0072b2", "fp": "#e69f00", "ap": "#d55e00", "mean": "#009e73", "max": "#cc79a7",
+    "attention": "#56b4e9",
+}  # fmt: skip
+OTHER = "#666666"
+GREY = "0.4"
+
+
+def curves(tasks: Sequence[Task]) -> Figure:
+    """Return over training steps, a panel for each task; bands: 95 % over seeds."""
+    figure, panels = _panels(len(tasks), 4.2, 3.4)
+    for axes, task in zip(panels, tasks, strict=True):
+        for repr in task.reprs:
+            runs = task.runs(repr)
+            count = min(len(run.curve["timesteps"]) for run in runs)
+            steps = np.mean([run.curve["timesteps"][:count] for run in runs], axis=0)
+            returns = [np.mean(run.curve["results"][:count], axis=1) for run in runs]
+            mean, low, high = np.array([mean_interval(v) for v in np.transpose(returns)]).T
+            axes.plot(steps, mean, color=_color(repr), label=repr, linewidth=1.6)
+            if len(runs) > 1:
+                axes.fill_between(steps, low, high, color=_color(repr), alpha=0.15, linewidth=0)
+        _limits(axes, task)
+        axes.set_title(task.name, fontsize=10)
+        axes.set_xlabel("training steps")
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:,.0f}k")
+        _tidy(axes)
+    panels[0].set_ylabel("return")
+    _legend(figure, panels)
+    return figure
+
+
+def bars(tasks: Sequence[Task]) -> Figure:
+    """Return of the final policies: bars are means with 95 % intervals, dots are runs."""
+    figure, panels = _panels(len(tasks), 3.2, 3.4)
+    for axes, task in zip(panels, tasks, strict=True):
+        for place, repr in enumerate(task.reprs):
+            mean = row(task, repr).mean
+            axes.bar(place, mean.value, 0.7, color=_color(repr), alpha=0.75, label=repr)
+            _interval(axes, place, mean)
+            scores = task.scores(repr)
+            axes.plot([place] * len(scores), scores, "o", markersize=3, color="0.15", alpha=0.6)
+        _limits(axes, task)
+        axes.set_xticks(range(len(task.reprs)), task.reprs, fontsize=9)
+        axes.set_title(task.name, fontsize=10)
+        _tidy(axes)
+    panels[0].set_ylabel("return")
+    _legend(figure, panels, only_lines=True)
+    return figure
+
+
+def improvement(tasks: Sequence[Task]) -> Figure:
+    """Probability that a run of ESC beats one of a rival, by scenario and over all."""
+    lines: list[tuple[str, str, Estimate]] = []
+    for task in tasks:
+        lines += [(task.name, duel.rival, duel.better) for duel in duels(task)]
+    if len(tasks) > 1:
+        lines += [("all", rival, better) for rival, better in overall_duels(tasks).items()]
+    figure = Figure(figsize=(7, 0.28 * len(lines) + 1), layout="constrained")
+    axes: Axes = figure.subplots()
+    for place, (_, rival, better) in enumerate(lines):
+        axes.plot(
+            [better.low, better.high], [place, place], color=_color(rival), linewidth=5, alpha=0.35
+        )
+        axes.plot(better.value, place, "o", color=_color(rival), markersize=6)
+    axes.axvline(0.5, color=GREY, linewidth=1, linestyle="--")
+    labels = [f"{name}: esc > {rival}" for name, rival, _ in lines]
+    axes.set_yticks(range(len(lines)), labels, fontsize=9)
+    axes.invert_yaxis()
+    axes.set_xlim(0, 1)
+    axes.set_xlabel("probability of improvement")
+    _tidy(axes)
+    return figure
+
+
+def transfers(task: Task, reprs: Sequence[str]) -> Figure:
+    """A matrix for each representation: traffic of training by traffic of driving."""
+    tables = {repr: transfer(task, repr) for repr in reprs}
+    values = [v for table in tables.values() for line in table.values() for v in line.values()]
+    names = list(next(iter(tables.values()))["as it is"])
+    figure, panels = _panels(len(reprs), 1.0 + 0.85 * len(names), 0.9 + 0.75 * len(names))
+    for axes, (repr, table) in zip(panels, tables.items(), strict=True):
+        grid = np.array([[line.get(name, np.nan) for name in names] for line in table.values()])
+        axes.imshow(grid, cmap="viridis", vmin=min(values), vmax=max(values), aspect="auto")
+        middle = (min(values) + max(values)) / 2
+        for (y, x), value in np.ndenumerate(grid):
+            color = "white" if value < middle else "black"
+            axes.text(x, y, f"{value:.1f}", ha="center", va="center", color=color, fontsize=9)
+        axes.set_xticks(range(len(names)), names, fontsize=8)
+        axes.set_yticks(range(len(table)), list(table), fontsize=8)
+        axes.set_title(repr, fontsize=10)
+        axes.set_xlabel("driven in", fontsize=9)
+    panels[0].set_ylabel("trained in", fontsize=9)
+    return figure
+
+
+def _limits(axes: Axes, task: Task) -> None:
+    """Lines of the best blind policy and of IDM/MOBIL."""
+    marks: Mapping[str, tuple[float, str]] = {
+        "IDM/MOBIL": (task.baselines.rule.reward, "-."),
+        "best blind policy": (task.floor[1].reward, ":"),
+    }
+    for label, (value, style) in marks.items():
+        axes.axhline(value, color=GREY, linestyle=style, linewidth=1.2, label=label, zorder=0)
+
+
+def _interval(axes: Axes, x: float, estimate: Estimate) -> None:
+    axes.plot([x, x], [estimate.low, estimate.high], color="0.1", linewidth=1.5)
+
+
+def _panels(count: int, width: float, height: float) -> tuple[Figure, Sequence[Axes]]:
+    across = min(count, 4)
+    down = -(-count // across)
+    figure = Figure(figsize=(width * across + 0.6, height * down + 0.4), layout="constrained")
+    panels = figure.subplots(down, across, squeeze=False).ravel()
+    for spare in panels[count:]:
+        spare.set_visible(False)
+    return figure, list(panels[:count])
+
+
+def _legend(figure: Figure, panels: Sequence[Axes], only_lines: bool = False) -> None:
+    found = {}
+    for axes in panels:
+        handles, labels = axes.get_legend_handles_labels()
+        found |= {
+            label: handle
+            for handle, label in zip(handles, labels, strict=True)
+            if not only_lines or hasattr(handle, "get_linestyle")
+        }
+    figure.legend(
+        list(found.values()), list(found), loc="outside lower center", ncols=min(6, len(found)),
+        frameon=False, fontsize=9,
+    )  # fmt: skip
+
+
+def _color(repr: str) -> str:
+    return COLORS.get(repr, OTHER)
+
+
+def _tidy(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)

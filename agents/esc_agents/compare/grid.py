@@ -1,0 +1,216 @@
+"""What a comparison is: its settings, its runs, and the training configuration of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Annotated, Any, Literal
+
+import tyro
+from pydantic import (
+    Field,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    ValidationError,
+    field_validator,
+)
+
+from esc_agents.config import Mapping, Model, TrainConfig, config_for_env, explain
+from esc_agents.errors import UserError
+from esc_gym.encoders import APEncoder, representation
+from esc_gym.registration import merge
+
+TUNING_SEED = 1000  # of the first tuning run: a study has fewer seeds
+TUNING_EPISODES = 3_000_000  # seed of the first episode on which tuning runs are judged
+EPISODES = 2_000_000  # seed of the first episode on which final policies are judged
+
+OWN = {"env", "repr", "algo", "steps", "seed", "run_dir"}
+"""Fields of a training run that the comparison fills in."""
+
+Many = tyro.conf.arg(metavar="VALUE [VALUE ...]")
+
+
+class TuningConfig(Model):
+    """The budget that every representation gets before the study, on seeds that it does not use.
+
+    Each pair of a learning rate and a scale is tried; the highest mean return is taken.
+    """
+
+    seeds: NonNegativeInt = 1
+    """Runs of each candidate; 0: nothing is tuned, the scenario's settings are taken."""
+    steps: PositiveInt | None = None
+    """Training steps of each; default: a third of the study's."""
+    learning_rates: Annotated[tuple[PositiveFloat, ...], Many] = (1.0, 2.0)
+    """Multiples of the scenario's learning rate."""
+    scales: Annotated[tuple[PositiveFloat, ...], Many] = (1.0, 0.1)
+    """Factors on the set code."""
+
+
+class CompareConfig(Model):
+    """One comparison."""
+
+    env: Annotated[tuple[str, ...], Many, Field(min_length=1)] = (
+        "highway-dense", "intersection-dense", "merge-dense",
+    )  # fmt: skip
+    """Scenarios or highway-env ids."""
+    repr: Annotated[tuple[str, ...], Many, Field(min_length=1)] = ("esc", "fp", "ap", "attention")
+    """Representations: esc, fp, ap, mean, max, attention, or module:Class."""
+    algo: Literal["ppo", "sac"] = "ppo"
+    seeds: Annotated[int, Field(ge=1, lt=TUNING_SEED)] = 5
+    """Runs of each representation in each scenario, with seeds 0, 1, 2, ..."""
+    steps: PositiveInt = 200_000
+    """Training steps of each run."""
+    slots: PositiveInt | None = None
+    """Z: fp takes the Z nearest vehicles, ap any Z; default: N, which is all of them."""
+    episodes: PositiveInt = 50
+    """Episodes that each final policy drives, the same for all."""
+    tuning: TuningConfig = TuningConfig()
+    transfer: Mapping = Field(default_factory=dict)
+    """{scenario: {name: env_config}}: other traffic to train and to drive in, such as
+    {highway-dense: {denser: {vehicles_count: 60}}}."""
+    transfer_seeds: NonNegativeInt = 1
+    """Runs of each representation trained in each such traffic."""
+    train: Mapping = Field(default_factory=dict)
+    """Further fields of every training run, as in its YAML."""
+
+    @field_validator("env", "repr")
+    @classmethod
+    def _once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(names))
+
+    def fixed(self) -> dict[str, Any]:
+        """What all runs in one output directory share for one scenario and algorithm."""
+        grid = {"env", "repr", "algo", "seeds", "transfer", "transfer_seeds"}
+        return self.model_dump(mode="json", exclude=grid)
+
+
+@dataclass(frozen=True, order=True)
+class Candidate:
+    """What is tuned. learning_rate: a multiple of the scenario's; scale: of the set code."""
+
+    learning_rate: float = 1.0
+    scale: float = 1.0
+
+    def __str__(self) -> str:
+        return f"learning rate x {self.learning_rate:g}, code x {self.scale:g}"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One training run. traffic: a name in ``transfer``, "" for the scenario as it is.
+
+    tuning: whether it tries a candidate, which its name then holds.
+    """
+
+    env: str
+    algo: str
+    repr: str
+    seed: int
+    traffic: str = ""
+    candidate: Candidate = Candidate()
+    tuning: bool = False
+
+    @property
+    def task(self) -> str:
+        return f"{self.env}-{self.algo}"
+
+    @property
+    def name(self) -> str:
+        """<representation>[-<traffic>][-lr<a>-x<b>]-s<seed>"""
+        parts = [self.repr.replace(":", "."), *([self.traffic] if self.traffic else [])]
+        if self.tuning:
+            parts.append(f"lr{self.candidate.learning_rate:g}-x{self.candidate.scale:g}")
+        return "-".join([*parts, f"s{self.seed}"])
+
+
+def candidates(tuning: TuningConfig) -> list[Candidate]:
+    """All pairs; the scenario's own settings alone where nothing is tuned."""
+    if not tuning.seeds:
+        return [Candidate()]
+    return [Candidate(*pair) for pair in product(tuning.learning_rates, tuning.scales)]
+
+
+def tuning_cells(config: CompareConfig) -> list[Cell]:
+    """The runs that choose a candidate for each representation in each scenario."""
+    tried = candidates(config.tuning)
+    if len(tried) == 1:
+        return []
+    seeds = range(TUNING_SEED, TUNING_SEED + config.tuning.seeds)
+    return [
+        Cell(env, config.algo, repr, seed, candidate=candidate, tuning=True)
+        for env, candidate, seed, repr in product(config.env, tried, seeds, config.repr)
+    ]
+
+
+def study_cells(config: CompareConfig) -> list[Cell]:
+    """The runs that are compared, one seed of everything after the other; then other traffic."""
+    cells = [
+        Cell(env, config.algo, repr, seed)
+        for seed, env, repr in product(range(config.seeds), config.env, config.repr)
+    ]
+    return cells + [
+        Cell(env, config.algo, repr, seed, traffic)
+        for seed, env in product(range(config.transfer_seeds), config.env)
+        for traffic, repr in product(config.transfer.get(env, {}), config.repr)
+    ]
+
+
+def train_config(config: CompareConfig, cell: Cell, slots: int) -> TrainConfig:
+    """The training configuration of a run. slots: Z of fp and ap."""
+    base = scenario(config, cell.env, cell.traffic)
+    steps = config.steps
+    if cell.tuning:
+        steps = config.tuning.steps or max(1, config.steps // 3)
+    seed = TUNING_EPISODES if cell.tuning else base.evaluation.seed
+    arguments: dict[str, Any] = {**base.encoder.arguments}
+    if cell.candidate.scale != 1.0:
+        arguments["scale"] = cell.candidate.scale * arguments.get("scale", 1.0)
+    if issubclass(representation(cell.repr), APEncoder):
+        arguments.setdefault("slots", slots)
+    rate = base.hyperparameters.learning_rate * cell.candidate.learning_rate
+    changes = {
+        "repr": cell.repr,
+        "algo": cell.algo,
+        "seed": cell.seed,
+        "steps": steps,
+        "checkpoint_every": base.checkpoint_every,
+        "encoder": {"arguments": arguments},
+        cell.algo: {"learning_rate": rate},
+        "evaluation": {"seed": seed, "every": max(1, steps // 10)},
+    }
+    return _changed(base, changes)
+
+
+def scenario(config: CompareConfig, env: str, traffic: str = "") -> TrainConfig:
+    """A scenario with the comparison's algorithm and ``train``, in its own or other traffic."""
+    if own := sorted(OWN & config.train.keys()):
+        raise UserError(f"train: {', '.join(own)}: set by the comparison itself; leave it out")
+    base = _changed(config_for_env(env), {"device": "cpu", "algo": config.algo, **config.train})
+    if traffic:
+        other = config.transfer[env][traffic]
+        base = _changed(base, {"env_config": merge(base.env_config, other)})
+    return base
+
+
+def _changed(base: TrainConfig, changes: dict[str, Any]) -> TrainConfig:
+    try:
+        return TrainConfig.model_validate(merge(base.model_dump(), changes))
+    except ValidationError as error:
+        raise UserError(f"train: {explain(error)}") from error
+
+
+def check_transfer(config: CompareConfig) -> None:
+    """Raises UserError where ``transfer`` is not {scenario of the grid: {name: env_config}}."""
+    for env, traffics in config.transfer.items():
+        if env not in config.env:
+            raise UserError(f"transfer: expected scenarios of the grid, got {env!r}")
+        if not isinstance(traffics, dict) or not traffics:
+            raise UserError(f"transfer {env}: expected {{name: env_config}}, got {traffics!r}")
+        for name, changes in traffics.items():
+            if not str(name).replace("-", "").isalnum():
+                raise UserError(
+                    f"transfer {env}: expected a name of letters and digits, got {name!r}"
+                )
+            if not isinstance(changes, dict):
+                raise UserError(f"transfer {env}: {name}: expected an env_config, got {changes!r}")

@@ -1,0 +1,232 @@
+"""One piece of a comparison's work, done in whatever process an engine gives it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from filelock import FileLock, Timeout
+from stable_baselines3.common.callbacks import BaseCallback
+
+from esc_agents import run
+from esc_agents.checks import check
+from esc_agents.compare import store
+from esc_agents.compare.grid import EPISODES, Cell, CompareConfig, scenario, train_config
+from esc_agents.compare.measure import baselines, drive, encoder_of
+from esc_agents.compare.store import Result, Tuned
+from esc_agents.config import TrainConfig
+from esc_agents.errors import UserError
+from esc_agents.evaluate import read_evaluations
+from esc_agents.policies import load_policy
+from esc_agents.train import train
+from esc_gym.encoders import APEncoder
+from esc_gym.matching import parameter_count
+
+JUDGED = 3  # evaluations at the end of a tuning run, whose returns count
+PATIENCE = 60.0  # s to wait for a process that was killed and has not yet let go of its run
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands. reward, crashed: means over its last training episodes, NaN before."""
+
+    name: str
+    steps: int
+    reward: float = float("nan")
+    crashed: float = float("nan")
+
+
+Post = Callable[[Progress], object]
+
+
+class Interrupted(Exception):
+    """Somebody asked to stop; what was done is kept."""
+
+
+class Job(Protocol):
+    """Picklable work; its files are in ``out`` when ``do`` returns."""
+
+    @property
+    def name(self) -> str: ...
+
+    def files(self, out: Path) -> list[Path]:
+        """Files and folders that the job makes."""
+        ...
+
+    def do(self, out: Path, post: Post) -> None: ...
+
+
+@dataclass(frozen=True)
+class TrainJob:
+    """Trains a run, from its last checkpoint if it has one, and measures its policy."""
+
+    config: CompareConfig
+    cell: Cell
+    slots: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.cell.task}/{'tuning/' if self.cell.tuning else ''}{self.cell.name}"
+
+    def files(self, out: Path) -> list[Path]:
+        return [store.path_of(out, self.cell), store.run_folder(out, self.cell)]
+
+    def do(self, out: Path, post: Post) -> None:
+        start = time.perf_counter()
+        config, folder = train_config(self.config, self.cell, self.slots), self.files(out)[1]
+        with _into_log(out, self.cell):
+            _train(config, folder, lambda progress: post(progress), self.name)
+            if self.cell.tuning:
+                saved = read_evaluations(folder / "evaluations.npz")
+                returns = saved["results"][-JUDGED:].ravel().tolist()
+                took = time.perf_counter() - start
+                store.write(out, Tuned(self.cell, returns, took, run.versions()))
+            else:
+                store.write(out, self._measured(config, folder, start))
+
+    def _measured(self, config: TrainConfig, folder: Path, start: float) -> Result:
+        cell, episodes = self.cell, range(EPISODES, EPISODES + self.config.episodes)
+        policy, _ = load_policy(folder, "cpu")
+        encoder = encoder_of(policy)
+        slots = encoder.slots if isinstance(encoder, APEncoder) else None
+        vehicles = encoder.max_vehicles
+        own, order, churn = drive(config, policy, episodes)
+        drives = {"": own}
+        for traffic in ("", *self.config.transfer.get(cell.env, {})):
+            if traffic != cell.traffic:
+                other = scenario(self.config, cell.env, traffic)
+                fields = {"repr": config.repr, "algo": config.algo, "seed": config.seed}
+                drives[traffic or "as it is"], _, _ = drive(
+                    other.model_copy(update=fields), policy, episodes
+                )
+        shuffled, _, _ = drive(config, policy, episodes, shuffle=True)
+        saved = read_evaluations(folder / "evaluations.npz")
+        curve = {name: saved[name].tolist() for name in ("timesteps", "results", "crashed")}
+        return Result(
+            cell, vehicles, slots, (parameter_count(encoder), parameter_count(policy)),
+            config.model_dump(mode="json"), curve, drives, shuffled, order, churn,
+            time.perf_counter() - start, run.versions(),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BaselineJob:
+    """Drives a scenario without learning anything."""
+
+    config: CompareConfig
+    env: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.env}-{self.config.algo}/baselines"
+
+    def files(self, out: Path) -> list[Path]:
+        return [out / f"{self.env}-{self.config.algo}" / "baselines.json"]
+
+    def do(self, out: Path, post: Post) -> None:
+        config = scenario(self.config, self.env)
+        seeds = range(EPISODES, EPISODES + self.config.episodes)
+        (path,) = self.files(out)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        store.write_baselines(path.parent, baselines(config, check(config), seeds))
+
+
+@contextmanager
+def _into_log(out: Path, cell: Cell) -> Iterator[None]:
+    """What a run prints, into a file of its own."""
+    folder = store.task_folder(out, cell) / "logs"
+    folder.mkdir(parents=True, exist_ok=True)
+    name = store.run_folder(out, cell).name
+    log = (folder / f"{name}.txt").open("a", encoding="utf-8")
+    with log, redirect_stdout(log), redirect_stderr(log):
+        yield
+
+
+def _train(config: TrainConfig, folder: Path, post: Post, name: str) -> None:
+    """Train into ``folder``, or go on there; nothing where it is done. Raises Interrupted."""
+    if (folder / "results.json").exists():
+        run.verify(folder, "policy.json", "policy.safetensors", "evaluations.npz")
+        return
+    listener = _Listener(name, post)
+    if (folder / "config.yaml").exists():
+        _wait_until_free(folder)
+        begun = run.open_run(folder)
+        if begun.model_copy(update={"run_dir": None}) != config:
+            raise UserError(
+                f"{folder} was trained with other settings; remove it, and its run is done anew"
+            )
+        finished = train(begun, resume=folder, listeners=[listener])
+    else:
+        _remove_empty(folder)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        finished = train(config.model_copy(update={"run_dir": folder}), listeners=[listener])
+    if not finished:
+        raise Interrupted
+
+
+def _wait_until_free(folder: Path) -> None:
+    try:
+        with FileLock(folder / ".lock", timeout=PATIENCE):
+            pass
+    except Timeout as error:
+        raise UserError(f"{folder} is in use by another process") from error
+
+
+def _remove_empty(folder: Path) -> None:
+    """A run that was killed before it wrote anything left empty folders."""
+    if not folder.exists():
+        return
+    for path in sorted(folder.rglob("*"), reverse=True):
+        if path.name.endswith(".tmp") or path.name == ".lock":
+            path.unlink()
+        elif path.is_dir() and not any(path.iterdir()):
+            path.rmdir()
+    if any(folder.iterdir()):
+        raise UserError(
+            f"{folder} is no run directory: expected a config.yaml in it; remove it, and its run "
+            "is done anew"
+        )
+    folder.rmdir()
+
+
+class _Listener(BaseCallback):
+    """Posts where a training stands, about once a second."""
+
+    def __init__(self, name: str, post: Post) -> None:
+        super().__init__()
+        self.name, self.post, self.next = name, post, 0.0
+
+    def _on_rollout_end(self) -> None:
+        if time.monotonic() >= self.next:
+            self.next = time.monotonic() + 1.0
+            self._tell()
+
+    def _on_training_end(self) -> None:
+        self._tell()
+
+    def _tell(self) -> None:
+        episodes: Any = self.model.ep_info_buffer or ()
+        means = [
+            float(np.mean([e[key] for e in episodes])) if episodes else float("nan")
+            for key in ("r", "crashed")
+        ]
+        self.post(Progress(self.name, self.num_timesteps, *means))
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def collected(paths: list[Path], out: Path) -> dict[str, bytes]:
+    """Files, and all files in folders, by their place in ``out``."""
+    found = {}
+    for path in paths:
+        for file in [path] if path.is_file() else sorted(path.rglob("*")):
+            if file.is_file() and file.name != ".lock":
+                found[os.path.relpath(file, out)] = file.read_bytes()
+    return found

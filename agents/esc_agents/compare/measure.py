@@ -1,0 +1,168 @@
+"""What is measured of a trained policy beside its return."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from torch import nn
+
+from esc_agents.compare.store import Baselines, OrderEffect
+from esc_agents.config import TrainConfig
+from esc_agents.evaluate import Episode, Policy, Summary, blind_policies, evaluate, model_policy
+from esc_agents.run import versions
+from esc_agents.train import action_names, vectorise
+from esc_gym.encoders import APEncoder, SetEncoder
+
+
+def drive(
+    config: TrainConfig, policy: Any, seeds: Sequence[int], **options: Any
+) -> tuple[list[Episode], OrderEffect, float | None]:
+    """(episodes, effect of the vehicles' order on decisions, slot churn) of an SB3 policy.
+
+    The environments may have another N than the policy was trained with, if its encoder takes any.
+    """
+    envs: VecEnv = vectorise(config, min(config.n_envs, len(seeds)), evaluation=True, **options)
+    try:
+        take_any_size(policy, envs.observation_space)
+        churn = SlotChurn(envs, encoder_of(policy))
+        probe = OrderProbe(policy, config.seed, lambda: envs.get_attr("resting"))
+        episodes = evaluate(churn, probe, seeds)
+        return episodes, probe.effect(), churn.rate()
+    finally:
+        envs.close()
+
+
+def baselines(config: TrainConfig, env: gym.Env, seeds: Sequence[int]) -> Baselines:
+    """Every blind policy of a scenario, and IDM/MOBIL in the ego's place. env: one of them."""
+    count = min(config.n_envs, len(seeds))
+    blind = blind_policies(env.action_space, count, action_names(env), config.evaluation.seed)
+    found = {name: _drives(config, policy, seeds) for name, policy in blind.items()}
+    idle = blind.get("always IDLE", blind.get("always neutral", blind["random"]))
+    rule = _drives(config, idle, seeds, rule_driver=True)
+    return Baselines(found, rule, versions())
+
+
+def _drives(config: TrainConfig, policy: Policy, seeds: Sequence[int], **options: Any) -> Summary:
+    envs = vectorise(config, min(config.n_envs, len(seeds)), evaluation=True, **options)
+    try:
+        return Summary.of(evaluate(envs, policy, seeds))
+    finally:
+        envs.close()
+
+
+def network_of(policy: Any) -> nn.Module:
+    """The part of an SB3 policy that decides: SAC's actor, all of PPO's."""
+    return getattr(policy, "actor", None) or policy
+
+
+def encoder_of(policy: Any) -> SetEncoder:
+    """The set encoder in a policy."""
+    network: Any = network_of(policy)
+    return network.features_extractor.encoder
+
+
+def take_any_size(policy: Any, space: gym.spaces.Space) -> None:
+    """Let an SB3 policy take observations of ``space``, whose N may be another than in training."""
+    for module in policy.modules():
+        if hasattr(module, "observation_space"):
+            module.observation_space = space
+
+
+class OrderProbe:
+    """A policy that also asks itself what it would do were the vehicles in another order.
+
+    resting: which environments have no episode left, and only repeat an observation.
+    """
+
+    def __init__(self, policy: Any, seed: int, resting: Callable[[], list[bool]]) -> None:
+        self.policy, self.decide = policy, model_policy(policy)
+        self.extract: Any = network_of(policy).features_extractor
+        self.generator = np.random.default_rng(seed)
+        self.resting = resting
+        self.decisions, self.changed, self.largest = 0, 0.0, 0.0
+
+    def __call__(self, observations: dict[str, NDArray]) -> NDArray:
+        actions = self.decide(observations)
+        other = shuffled(observations, self.generator)
+        counted = ~np.array(self.resting())
+        difference = np.abs(actions - self.decide(other)).reshape(len(actions), -1)
+        if np.issubdtype(actions.dtype, np.integer):
+            difference = difference != 0
+        self.decisions += int(counted.sum())
+        self.changed += float(difference.mean(axis=1)[counted].sum())
+        self.largest = max(self.largest, self._difference(observations, other))
+        return actions
+
+    @torch.no_grad()
+    def _difference(self, *observations: dict[str, NDArray]) -> float:
+        tensors = [{k: torch.as_tensor(v).float() for k, v in o.items()} for o in observations]
+        a, b = (self.extract(tensor) for tensor in tensors)
+        return float((a - b).abs().max() / a.abs().max().clamp(min=1e-12))
+
+    def effect(self) -> OrderEffect:
+        """Over all decisions until now."""
+        share = self.changed / self.decisions if self.decisions else 0.0
+        return OrderEffect(self.decisions, share, self.largest)
+
+
+def shuffled(
+    observations: dict[str, NDArray], generator: np.random.Generator
+) -> dict[str, NDArray]:
+    """The same sets, the real rows of each in random order."""
+    vehicles = observations["vehicles"].copy()
+    for rows, mask in zip(vehicles, observations["mask"], strict=True):
+        real = np.flatnonzero(mask)
+        rows[real] = rows[generator.permutation(real)]
+    return {**observations, "vehicles": vehicles}
+
+
+class SlotChurn(VecEnvWrapper):
+    """Counts how often a slot of fp or ap holds another vehicle than a step before.
+
+    Slots that are empty before or after don't count.
+    """
+
+    def __init__(self, venv: VecEnv, encoder: SetEncoder) -> None:
+        super().__init__(venv)
+        self.encoder = encoder if isinstance(encoder, APEncoder) else None
+        self.before: list[list[int]] = [[] for _ in range(venv.num_envs)]
+        self.changed = self.total = 0
+
+    def reset(self) -> Any:
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        observations, rewards, dones, infos = self.venv.step_wait()
+        if self.encoder:
+            for index, (done, info) in enumerate(zip(dones, infos, strict=True)):
+                # The observation after the end of an episode is the next one's first.
+                seen = "set" in info and not done
+                now = self._slots(observations, index, info["set"]["ids"]) if seen else []
+                pairs = list(zip(self.before[index], now, strict=False))
+                self.changed += sum(old != new for old, new in pairs)
+                self.total += len(pairs)
+                self.before[index] = now
+        return observations, rewards, dones, infos
+
+    def _slots(self, observations: Any, index: int, ids: Sequence[int]) -> list[int]:
+        """The ids of the vehicles in the slots, in order."""
+        encoder: Any = self.encoder
+        vehicles = torch.as_tensor(observations["vehicles"][index : index + 1])
+        mask = torch.as_tensor(observations["mask"][index : index + 1]) != 0
+        column = torch.full((1, vehicles.shape[1], 1), -1.0)
+        column[0, : len(ids), 0] = torch.tensor(ids, dtype=torch.float)
+        # The order looks at x and y only, so an id can ride along as one more column.
+        arranged = encoder.arrange(torch.cat([vehicles, column], dim=2), mask)[0, :, -1]
+        return arranged[: min(len(ids), encoder.slots)].int().tolist()
+
+    def rate(self) -> float | None:
+        """Share of the slots; None for an encoder without slots."""
+        if not self.encoder:
+            return None
+        return self.changed / self.total if self.total else 0.0

@@ -1,0 +1,393 @@
+"""The report of a comparison: who drives best where, and whether it was a fair question."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from math import isinf
+from pathlib import Path
+from typing import Any
+
+import rich.table
+
+from esc_agents.compare import figures
+from esc_agents.compare.analysis import (
+    OURS,
+    Task,
+    above_floor,
+    drivers,
+    duels,
+    load,
+    overall,
+    overall_duels,
+    row,
+    run_rows,
+    shuffle,
+    summary_rows,
+    transfer,
+)
+from esc_agents.compare.films import film_of
+from esc_agents.compare.grid import (
+    EPISODES,
+    TUNING_EPISODES,
+    TUNING_SEED,
+    TuningConfig,
+    candidates,
+)
+from esc_agents.config import flow
+from esc_agents.document import Block, Heading, Rows, Text, picture, write
+from esc_agents.errors import UserError
+from esc_agents.report import show
+from esc_agents.run import write_text
+from esc_agents.statistics import Estimate
+from esc_agents.train import say
+
+TITLE = "Representations of traffic, compared"
+COLUMNS = (
+    "", "runs", "return", "IQM", "collisions", "speed m/s", "progress m", "lane changes",
+    "min TTC s", "off road",
+)  # fmt: skip
+NOTE = """\
+Return: mean over runs, with a stratified bootstrap 95 % interval; IQM: mean of the middle half of \
+the runs. Collisions: of all episodes of all runs, with Wilson's interval. Of drivers that learn \
+nothing the intervals are over episodes. Min TTC: median over episodes of the least time to \
+collision. Every driver drove the same episodes."""
+
+
+def write_report(out: Path) -> None:
+    """Print the tables of what ``out`` holds; write report.html, .md, CSV files and pictures."""
+    tasks = load(out)
+    if not tasks:
+        raise UserError(f"expected results of esc-compare in {out}, found none")
+    blocks = [
+        *verdicts(tasks), *details(tasks), *learning(tasks), *robustness(tasks), *transfers(tasks),
+        *films(tasks, out), *fairness(tasks), *tuning(tasks), *provenance(tasks, out),
+    ]  # fmt: skip
+    for task in tasks:
+        show(_terminal(task))
+    for name, lines in {"summary": summary_rows(tasks), "runs": run_rows(tasks)}.items():
+        write_text(out / f"{name}.csv", as_csv(lines))
+    written = write(out, "report", TITLE, blocks)
+    say(f"Written into {out}: {', '.join(path.name for path in written)}, summary.csv, runs.csv")
+
+
+def verdicts(tasks: Sequence[Task]) -> Iterator[Block]:
+    """The answer, in words first."""
+    lines = []
+    for rival in dict.fromkeys(rival for task in tasks for rival in task.rivals):
+        found = {task.name: duel for task in tasks for duel in duels(task) if duel.rival == rival}
+        counts = [
+            f"{verdict} in {len(names)} ({'; '.join(names)})"
+            for verdict in ("wins", "ties", "loses", "has too few runs to tell")
+            if (names := [name for name, duel in found.items() if duel.verdict == verdict])
+        ]
+        lines.append(f"**ESC against {rival}**: {', '.join(counts)}.")
+    if lines:
+        yield Text("\n".join(lines), bullets=True)
+        yield Text(
+            "A win or a loss is a difference of mean returns whose 95 % interval (Welch's t, over "
+            "runs) does not hold 0; of twenty comparisons without any difference one would still "
+            "be called so."
+        )
+        yield Rows([["", "difference of returns", "probability of improvement", "ESC"], *(
+            [f"{task.name}: ESC against {d.rival}", interval(d.difference, sign=True),
+             interval(d.better, percent=True), d.verdict]
+            for task in tasks for d in duels(task)
+        )])  # fmt: skip
+        alt = "Probability that a run of ESC has a higher return than one of a rival"
+        yield picture("improvement", figures.improvement(tasks), alt)
+    if len(tasks) > 1:
+        yield from _overall(tasks)
+    yield Text("\n".join(_floors(tasks)), bullets=True)
+
+
+def _overall(tasks: Sequence[Task]) -> Iterator[Block]:
+    if found := overall(tasks):
+        yield Text(
+            "Over all scenarios, IQM of returns on a scale where 0 is the best blind policy of the "
+            "scenario and 1 is IDM/MOBIL, and the mean probability that ESC improves on it:"
+        )
+        better = overall_duels(tasks)
+        yield Rows([["", "IQM", "probability of improvement"], *(
+            [repr, interval(value),
+             interval(better[repr], percent=True) if repr in better else ""]
+            for repr, value in found.items()
+        )])  # fmt: skip
+
+
+def _floors(tasks: Sequence[Task]) -> Iterator[str]:
+    for task in tasks:
+        name, floor = task.floor
+        below = [repr for repr in task.reprs if not above_floor(task, repr)]
+        best = f"the best blind policy ({name}, {floor.reward:.2f}"
+        best += f" [{floor.reward_low:.2f}, {floor.reward_high:.2f}])"
+        yield (
+            f"{task.name}: not clearly above {best}: {', '.join(below)}."
+            if below
+            else f"{task.name}: every representation is above {best}."
+        )
+
+
+def details(tasks: Sequence[Task]) -> Iterator[Block]:
+    """A table for each scenario, and the bars."""
+    yield Heading("Final policies")
+    yield Text(NOTE)
+    alt = "Mean return of each representation's final policies, by scenario"
+    yield picture("bars", figures.bars(tasks), alt)
+    for task in tasks:
+        yield Text(f"**{task.name}**, {task.settings['steps']:,} training steps")
+        yield Rows(list(table(task)))
+
+
+def table(task: Task) -> Iterator[list[str]]:
+    """The numbers of a scenario, best return of the representations in bold."""
+    yield list(COLUMNS)
+    found = {repr: row(task, repr) for repr in task.reprs}
+    best = max(found, key=lambda repr: found[repr].mean.value)
+    for repr, r in found.items():
+        name = f"**{repr}**" if repr == best else repr
+        numbers = _numbers(r.means, r.min_ttc)
+        crash = interval(r.collisions, percent=True)
+        yield [name, str(r.runs), interval(r.mean), interval(r.middle), crash, *numbers]
+    for name, s in drivers(task).items():
+        mean = Estimate(s.reward, s.reward_low, s.reward_high)
+        crash = Estimate(s.collision_rate, s.collision_low, s.collision_high)
+        numbers = _numbers(vars(s), s.min_ttc)
+        yield [name, "", interval(mean), "", interval(crash, percent=True), *numbers]
+
+
+def _numbers(means: dict[str, Any], min_ttc: float) -> list[str]:
+    return [
+        f"{means['speed']:.1f}", f"{means['progress']:.0f}", f"{means['lane_changes']:.1f}",
+        "none" if isinf(min_ttc) else f"{min_ttc:.1f}", f"{means['off_road']:.1%}",
+    ]  # fmt: skip
+
+
+def learning(tasks: Sequence[Task]) -> Iterator[Block]:
+    """Curves."""
+    yield Heading("Learning")
+    yield Text(
+        "Return on fixed episodes during training, mean over runs; bands are 95 % intervals over "
+        "runs (Student's t). Other episodes than those above."
+    )
+    alt = "Return over training steps of each representation, by scenario"
+    yield picture("curves", figures.curves(tasks), alt)
+
+
+def robustness(tasks: Sequence[Task]) -> Iterator[Block]:
+    """What the order of the vehicles does to policies."""
+    yield Heading("Does the order of the vehicles matter?")
+    yield Text(
+        "The same episodes with the vehicles of every observation in random order. `ap` is trained "
+        "that way; the others saw the simulator's order, and `fp` sorts by itself. Decisions: how "
+        "many come out differently if the vehicles of one observation change places (of continuous "
+        "actions: mean change, of a range from -1 to 1). Features: largest change in proportion to "
+        "the largest feature. A float has 24 bits, so 1e-6 is rounding."
+    )
+    header = ["", "return", "shuffled", "change", "decisions changed", "features changed"]
+    lines = []
+    for task in tasks:
+        for repr in task.reprs:
+            s = shuffle(task, repr)
+            lines.append(
+                [
+                    f"{task.name}: {repr}", f"{s.plain:.2f}", f"{s.shuffled:.2f}",
+                    interval(s.change, sign=True), f"{s.changed:.2%} of {s.decisions:,}",
+                    f"{s.features:.1e}",
+                ]
+            )  # fmt: skip
+    yield Rows([header, *lines])
+    if churn := list(_churn(tasks)):
+        yield Text(
+            "Slots that hold another vehicle than a decision before: what a network must follow "
+            "that has a place for each vehicle."
+        )
+        yield Rows([["", "slots Z", "changed hands"], *churn])
+
+
+def _churn(tasks: Sequence[Task]) -> Iterator[list[str]]:
+    for task in tasks:
+        for repr in task.reprs:
+            runs = task.runs(repr)
+            if known := [run.churn for run in runs if run.churn is not None]:
+                share = sum(known) / len(known)
+                yield [f"{task.name}: {repr}", str(runs[0].slots), f"{share:.0%}"]
+
+
+def transfers(tasks: Sequence[Task]) -> Iterator[Block]:
+    """Other traffic than that of training."""
+    for task in tasks:
+        if not task.settings["transfer"]:
+            continue
+        yield Heading(f"Other traffic: {task.name}")
+        changes = "; ".join(
+            f"{name}: `{flow(config)}`" for name, config in task.settings["transfer"].items()
+        )
+        yield Text(
+            f"Mean return, trained in one traffic and driven in another. {changes}. Where there "
+            "are more vehicles the set is larger (N): `fp` and `ap` keep the Z that they were "
+            "trained with."
+        )
+        reprs = [repr for repr in task.reprs if transfer(task, repr)]
+        alt = "Matrix of mean returns for each representation, traffic of training by of driving"
+        name = f"transfer-{task.folder.name}"
+        yield picture(name, figures.transfers(task, reprs), alt)
+
+
+def films(tasks: Sequence[Task], out: Path) -> Iterator[Block]:
+    """The same episode, driven by each representation."""
+    made = [image for task in tasks if (image := film_of(task, out))]
+    if made:
+        yield Heading("On the road")
+        yield Text("The same episode with each representation's first run at the wheel.")
+        yield from made
+
+
+def fairness(tasks: Sequence[Task]) -> Iterator[Block]:
+    """What was equal, and what was not."""
+    yield Heading("Was it fair?")
+    yield Text(
+        "All representations get the same sets of vehicles with the same features, the same "
+        "algorithm and settings but for what was tuned, the same seeds of environments and "
+        "networks, the same budget of tuning on seeds that the study does not use."
+    )
+    lines = []
+    for task in tasks:
+        for repr in task.reprs:
+            first = task.runs(repr)[0]
+            encoder, policy = first.parameters
+            chosen = first.cell.candidate
+            lines.append(
+                [
+                    f"{task.name}: {repr}", f"{encoder:,}", f"{policy:,}", str(first.vehicles),
+                    "all" if first.slots is None else str(first.slots),
+                    f"{chosen.learning_rate:g}", f"{chosen.scale:g}",
+                ]
+            )  # fmt: skip
+    header = [
+        "",
+        "parameters of the encoder",
+        "of the policy",
+        "N",
+        "Z",
+        "learning rate x",
+        "code x",
+    ]
+    yield Rows([header, *lines])
+    notes = [note for task in tasks for note in differences(task)]
+    yield Text("\n".join(notes), bullets=True) if notes else Text("Nothing else differs.")
+
+
+def differences(task: Task) -> Iterator[str]:
+    """What is not equal between the representations of a scenario."""
+    firsts = {repr: task.runs(repr)[0] for repr in task.reprs}
+    sizes = {repr: result.parameters[0] for repr, result in firsts.items()}
+    if OURS in sizes:
+        for repr, size in sizes.items():
+            if abs(size - sizes[OURS]) > 0.05 * sizes[OURS]:
+                yield f"{task.name}: {repr} has {size / sizes[OURS]:.0%} of ESC's parameters."
+    for repr, result in firsts.items():
+        if result.slots is not None and result.slots < result.vehicles:
+            which = "nearest" if repr == "fp" else "first in a random order"
+            yield (
+                f"{task.name}: {repr} sees at most the Z={result.slots} vehicles {which}, the "
+                f"others up to N={result.vehicles}."
+            )
+    if len(counts := {len(task.runs(repr)) for repr in task.reprs}) > 1:
+        yield f"{task.name}: different numbers of runs, {min(counts)} to {max(counts)}."
+    reference = _comparable(firsts[task.reprs[0]].config, task.settings["algo"])
+    for result in task.results:
+        if not result.cell.traffic:
+            config = _comparable(result.config, task.settings["algo"])
+            if other := [key for key in reference if config[key] != reference[key]]:
+                name = f"{result.cell.repr}, seed {result.cell.seed}"
+                yield f"{task.name}: {name} differs in {', '.join(other)}."
+
+
+def _comparable(config: dict[str, Any], algo: str) -> dict[str, Any]:
+    """A training configuration without what belongs to one run or was tuned."""
+    own = ("repr", "seed", "run_dir")
+    kept = {key: value for key, value in config.items() if key not in own}
+    kept[algo] = {k: v for k, v in kept[algo].items() if k != "learning_rate"}
+    kept["encoder"] = {k: v for k, v in kept["encoder"].items() if k != "arguments"}
+    return kept
+
+
+def tuning(tasks: Sequence[Task]) -> Iterator[Block]:
+    """What every representation was offered, and what it took."""
+    if not any(task.tuned for task in tasks):
+        return
+    yield Heading("Tuning")
+    yield Text(
+        f"Mean return at the end of shorter runs with seeds from {TUNING_SEED} on, on episodes "
+        "that the study does not use. The best, in bold, was taken, of equal ones the first."
+    )
+    for task in tasks:
+        tried = candidates(TuningConfig(**task.settings["tuning"])) if task.tuned else []
+        lines = []
+        for repr in task.reprs:
+            scores = [
+                [x for t in task.tuned if (t.cell.repr, t.cell.candidate) == (repr, c)
+                 for x in t.returns]
+                for c in tried
+            ]  # fmt: skip
+            means = [sum(values) / len(values) if values else None for values in scores]
+            best = max((m for m in means if m is not None), default=None)
+            cells = [
+                "" if m is None else f"**{m:.2f}**" if m == best else f"{m:.2f}" for m in means
+            ]
+            lines.append([repr, *cells])
+        if tried:
+            yield Text(f"**{task.name}**")
+            yield Rows([["", *map(str, tried)], *lines])
+
+
+def provenance(tasks: Sequence[Task], out: Path) -> Iterator[Block]:
+    """What the numbers were made with."""
+    yield Heading("How this was made")
+    results = [result for task in tasks for result in task.results]
+    hours = sum(r.seconds for r in [*results, *(t for task in tasks for t in task.tuned)]) / 3600
+    yield Text(
+        f"{len(results)} runs and {sum(len(task.tuned) for task in tasks)} tuning runs, "
+        f"{hours:.1f} hours of one core in all. Final policies drove episodes with seeds from "
+        f"{EPISODES} on; tuning was judged on those from {TUNING_EPISODES} on. Numbers: "
+        "[summary.csv](summary.csv), [runs.csv](runs.csv); every run is a file in its scenario's "
+        "`results`, which also holds its whole configuration. Commands:"
+    )
+    commands = out / "command.txt"
+    if commands.exists():
+        lines = dict.fromkeys(commands.read_text(encoding="utf-8").splitlines())
+        yield Text("\n".join(f"`{line}`" for line in lines), bullets=True)
+    made = {", ".join(f"{k} {v}" for k, v in result.made_with.items()) for result in results}
+    yield Text("Made with:")
+    yield Text("\n".join(sorted(made)), bullets=True)
+
+
+def interval(e: Estimate, *, percent: bool = False, sign: bool = False) -> str:
+    """A number and its interval, which is left out where it is not known."""
+    form = ".0%" if percent else "+.2f" if sign else ".2f"
+    if e.low == e.high:
+        return f"{e.value:{form}}"
+    return f"{e.value:{form}} [{e.low:{form}}, {e.high:{form}}]"
+
+
+def as_csv(lines: Iterable[dict[str, Any]]) -> str:
+    """Rows as CSV, floats in full."""
+    rows = list(lines)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(key for r in rows for key in r)), restval="",
+                            lineterminator="\n")  # fmt: skip
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _terminal(task: Task) -> rich.table.Table:
+    header, *body = table(task)
+    shown = rich.table.Table(title=task.name, title_justify="left", header_style="bold")
+    for index, name in enumerate(header):
+        shown.add_column(name, justify="right" if index else "left", no_wrap=True)
+    for line in body:
+        shown.add_row(*(cell.replace("**", "").replace("[", "\\[") for cell in line))
+    return shown

@@ -1,0 +1,230 @@
+"""A comparison's directory: one folder for each scenario and algorithm, one file for each result.
+
+<scenario>-<algorithm>/task.yaml        what all its runs share
+                       baselines.json   drivers that learn nothing
+                       tuning/*.json    tuning runs
+                       results/*.json   runs of the study
+                       runs/            directories of esc-train, logs/ what it said
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from esc_agents import records
+from esc_agents.compare.grid import Candidate, Cell, CompareConfig
+from esc_agents.errors import UserError
+from esc_agents.evaluate import Episode, Summary, as_rows, summaries
+from esc_agents.records import Damaged
+from esc_agents.run import write_text
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class OrderEffect:
+    """What another order of the same vehicles did to a policy's decisions.
+
+    decisions: how many were looked at; changed: share of them that came out differently, of
+    continuous actions the mean difference; features: largest difference of the features, in
+    proportion to the largest feature.
+    """
+
+    decisions: int
+    changed: float
+    features: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """A run of the study, trained and measured.
+
+    vehicles: N. slots: Z of fp and ap. parameters: of the features extractor, and of the whole
+    policy. config: the training configuration. curve: training steps, returns [k][episodes] and
+    crashes of the evaluations on the way. drives: episodes of the final policy by traffic, "" in
+    the traffic that it was trained in. shuffled: the same as drives[""], rows in random order.
+    churn: share of a policy's slots that hold another vehicle than a step before; None without
+    slots. seconds: of training and measuring. made_with: device, versions and commit.
+    """
+
+    cell: Cell
+    vehicles: int
+    slots: int | None
+    parameters: tuple[int, int]
+    config: dict[str, Any]
+    curve: dict[str, list]
+    drives: dict[str, list[Episode]]
+    shuffled: list[Episode]
+    order: OrderEffect
+    churn: float | None
+    seconds: float
+    made_with: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """A tuning run: the returns of its policy's episodes."""
+
+    cell: Cell
+    returns: list[float]
+    seconds: float
+    made_with: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Baselines:
+    """Drivers that learn nothing, on the episodes of the study: blind ones, and IDM/MOBIL."""
+
+    blind: dict[str, Summary]
+    rule: Summary
+    made_with: dict[str, str]
+
+
+def task_folder(out: Path, cell: Cell) -> Path:
+    """Where everything of a scenario and algorithm lies."""
+    return out / cell.task
+
+
+def path_of(out: Path, cell: Cell) -> Path:
+    """The result file of a run."""
+    folder = task_folder(out, cell)
+    return folder / ("tuning" if cell.tuning else "results") / f"{cell.name}.json"
+
+
+def run_folder(out: Path, cell: Cell) -> Path:
+    """The run directory of a run."""
+    name = f"tuning-{cell.name}" if cell.tuning else cell.name
+    return task_folder(out, cell) / "runs" / name
+
+
+def write(out: Path, result: Result | Tuned) -> None:
+    """Write a run's file at once: it is there whole, or not at all."""
+    path = path_of(out, result.cell)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = asdict(result)
+    if isinstance(result, Result):
+        content["drives"] = {name: _columns(drives) for name, drives in result.drives.items()}
+        content["shuffled"] = _columns(result.shuffled)
+    records.write(path, SCHEMA, content)
+
+
+def read(out: Path, cell: Cell) -> Result | Tuned | None:
+    """A run's result, None where there is none yet. Raises UserError for a damaged one."""
+    path = path_of(out, cell)
+    if not path.exists():
+        return None
+    with _told(path):
+        result = _read(path, Tuned if cell.tuning else Result)
+        if (result.cell.task, result.cell.name) != (cell.task, cell.name):
+            raise Damaged(f"{path}: holds another run, {result.cell.name}")
+        return result
+
+
+def results(folder: Path) -> list[Result]:
+    """All results of the study in a task's folder. Raises UserError for a damaged one."""
+    return [_whole(path, Result) for path in sorted((folder / "results").glob("*.json"))]
+
+
+def tuned(folder: Path) -> list[Tuned]:
+    """All tuning runs in a task's folder. Raises UserError for a damaged one."""
+    return [_whole(path, Tuned) for path in sorted((folder / "tuning").glob("*.json"))]
+
+
+def write_baselines(folder: Path, baselines: Baselines) -> None:
+    """Write a task's baselines."""
+    content = {**asdict(baselines), "blind": as_rows(baselines.blind)}
+    records.write(folder / "baselines.json", SCHEMA, content)
+
+
+def baselines(folder: Path) -> Baselines | None:
+    """A task's baselines, None where there are none yet. Raises UserError for damaged ones."""
+    path = folder / "baselines.json"
+    if not path.exists():
+        return None
+    with _told(path):
+        content = records.read(path, SCHEMA)
+        (rule,) = summaries([{"policy": "rule", **content.pop("rule")}]).values()
+        return Baselines(summaries(content.pop("blind")), rule, **content)
+
+
+def begin_task(out: Path, config: CompareConfig, env: str) -> None:
+    """Note what all runs of a scenario share. Raises UserError where it is not what it was."""
+    folder = out / f"{env}-{config.algo}"
+    path = folder / "task.yaml"
+    asked = {"env": env, "algo": config.algo, **config.fixed()}
+    asked["transfer"] = config.transfer.get(env, {})
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(path, yaml.safe_dump(asked, sort_keys=False))
+        return
+    found = task_settings(folder)
+    for key in {**found, **asked}:
+        if found.get(key) != asked.get(key):
+            raise UserError(
+                f"{path}: begun with {key}={found.get(key)!r}, now asked for with "
+                f"{asked.get(key)!r}; ask for the same, or give another --out"
+            )
+
+
+def task_settings(folder: Path) -> dict[str, Any]:
+    """What ``begin_task`` noted. Raises UserError where it is damaged."""
+    try:
+        settings = yaml.safe_load((folder / "task.yaml").read_text(encoding="utf-8"))
+        if not isinstance(settings, dict):
+            raise ValueError("no mapping in it")
+        return settings
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise UserError(f"{folder / 'task.yaml'} is damaged: {error}") from error
+
+
+def task_folders(out: Path) -> Iterator[Path]:
+    """The folders of a comparison that hold a task, by name."""
+    yield from (path.parent for path in sorted(out.glob("*/task.yaml")))
+
+
+def _whole(path: Path, type_: Any) -> Any:
+    with _told(path):
+        return _read(path, type_)
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """What a damaged file raises, as a UserError that names it."""
+    try:
+        yield
+    except (Damaged, KeyError, TypeError, ValueError, AttributeError) as error:
+        what = str(error) if isinstance(error, Damaged) else f"{path} is damaged: {error!r}"
+        raise UserError(f"{what}; remove it and start again, and its run is done anew") from error
+
+
+def _read(path: Path, type_: type[Result] | type[Tuned]) -> Any:
+    content = records.read(path, SCHEMA)
+    cell = content.pop("cell")
+    cell["candidate"] = Candidate(**cell["candidate"])
+    content["cell"] = Cell(**cell)
+    if type_ is Result:
+        content["drives"] = {name: _episodes(rows) for name, rows in content["drives"].items()}
+        content["shuffled"] = _episodes(content["shuffled"])
+        content["order"] = OrderEffect(**content["order"])
+        content["parameters"] = tuple(content["parameters"])
+    return type_(**content)
+
+
+def _columns(episodes: list[Episode]) -> dict[str, list]:
+    """Episodes as columns, of which a file is a third as long."""
+    names = [field.name for field in fields(Episode)]
+    return {name: [getattr(episode, name) for episode in episodes] for name in names}
+
+
+def _episodes(columns: dict[str, list]) -> list[Episode]:
+    """JSON has null for no time to collision."""
+    columns = {**columns, "min_ttc": [inf if v is None else v for v in columns["min_ttc"]]}
+    rows = zip(*columns.values(), strict=True)
+    return [Episode(**dict(zip(columns, row, strict=True))) for row in rows]

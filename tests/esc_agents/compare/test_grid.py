@@ -1,0 +1,95 @@
+import pytest
+
+from esc_agents.compare.grid import (
+    Candidate,
+    Cell,
+    candidates,
+    check_transfer,
+    scenario,
+    study_cells,
+    train_config,
+    tuning_cells,
+)
+from esc_agents.errors import UserError
+from tests.esc_agents.compare.small import ENV, MORE, small
+
+
+def test_every_run_has_a_name_of_its_own():
+    config = small(env=(ENV, "merge-dense"), repr=("esc", "fp", "tests.x:Y"), seeds=3)
+    cells = [*study_cells(config), *tuning_cells(config)]
+    # 2 scenarios x 3 representations x 3 seeds; other traffic: 1 x 3; candidates: 2 x 3 x 2.
+    assert len(cells) == 18 + 3 + 12
+    assert len({(cell.task, cell.tuning, cell.name) for cell in cells}) == len(cells)
+    assert not any(set(cell.name) & set(":/\\ ") for cell in cells)
+
+
+def test_one_seed_of_everything_comes_before_the_next():
+    cells = study_cells(small(seeds=3, transfer={}))
+    assert [(cell.seed, cell.repr) for cell in cells[:3]] == [(0, "esc"), (0, "fp"), (1, "esc")]
+
+
+def test_tuning_uses_other_seeds_and_episodes_and_the_same_candidates_for_all():
+    config = small(repr=("esc", "fp", "attention"))
+    tuning, study = tuning_cells(config), study_cells(config)
+    assert not {cell.seed for cell in tuning} & {cell.seed for cell in study}
+    tried = {r: [c.candidate for c in tuning if c.repr == r] for r in config.repr}
+    assert tried["esc"] == tried["fp"] == tried["attention"] == candidates(config.tuning)
+    episodes = {train_config(config, cell, 20).evaluation.seed for cell in tuning}
+    assert episodes == {3_000_000}
+    assert {train_config(config, cell, 20).evaluation.seed for cell in study} == {1_000_000}
+
+
+def test_nothing_to_tune():
+    assert tuning_cells(small(tuning={"seeds": 0})) == []
+    assert candidates(small(tuning={"seeds": 0}).tuning) == [Candidate()]
+    assert tuning_cells(small(tuning={"scales": [1.0], "learning_rates": [1.0]})) == []
+
+
+def test_representations_differ_in_nothing_but_themselves():
+    config = small(repr=("esc", "fp", "ap", "attention"))
+    cells = [Cell(ENV, "ppo", repr, 1, candidate=Candidate(2.0, 0.1)) for repr in config.repr]
+    runs = [train_config(config, cell, 7).model_dump() for cell in cells]
+    arguments = [run["encoder"].pop("arguments") for run in runs]
+    assert arguments == [{"scale": 0.1}, *[{"scale": 0.1, "slots": 7}] * 2, {"scale": 0.1}]
+    assert [run.pop("repr") for run in runs] == list(config.repr)
+    assert runs[0] == runs[1] == runs[2] == runs[3]
+    assert runs[0]["ppo"]["learning_rate"] == 2 * scenario(config, ENV).ppo.learning_rate
+    assert runs[0]["seed"] == 1
+
+
+def test_tuning_is_shorter_by_default():
+    config = small(steps=3000, tuning={})
+    cell = tuning_cells(config)[0]
+    assert train_config(config, cell, 20).steps == 1000
+    assert train_config(config, study_cells(config)[0], 20).steps == 3000
+
+
+def test_other_traffic_changes_the_scenario_and_nothing_else():
+    config = small()
+    own = scenario(config, ENV)
+    other = scenario(config, ENV, "more")
+    assert other.env_config == {**own.env_config, **MORE["more"]}
+    assert other.model_copy(update={"env_config": own.env_config}) == own
+    run = train_config(config, Cell(ENV, "ppo", "esc", 0, "more"), 20)
+    assert run.env_config["vehicles_count"] == 9
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"train": {"steps": 5}}, "train: steps: set by the comparison itself"),
+        ({"train": {"n_env": 5}}, "train: unknown key 'n_env'; did you mean 'n_envs'"),
+        ({"train": {"ppo": {"gamma": 2}}}, "train: ppo.gamma"),
+    ],
+)
+def test_wrong_training_settings(changes, message):
+    with pytest.raises(UserError, match=message):
+        scenario(small(**changes), ENV)
+
+
+@pytest.mark.parametrize(
+    "transfer", [{ENV: 5}, {ENV: {}}, {ENV: {"a/b": {}}}, {"merge-dense": MORE}, {ENV: {"x": 5}}]
+)
+def test_wrong_transfer(transfer):
+    with pytest.raises(UserError, match="transfer"):
+        check_transfer(small(transfer=transfer))
