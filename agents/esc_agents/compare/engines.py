@@ -6,6 +6,7 @@ import logging
 import multiprocessing
 import os
 import socket
+import subprocess
 import sys
 import tempfile
 import threading
@@ -23,7 +24,8 @@ from esc_agents.errors import UserError
 from esc_agents.run import write_atomically
 
 SPAWN = get_context("spawn")  # torch's threads do not survive a fork
-CONNECT_SECONDS = 30
+CONNECT_SECONDS = 15
+START = "start Ray there with: ray start --head"
 RETRIES = 5  # of a job whose node or process was lost
 Done = Callable[[Job, Exception | None], None]
 _posts: Any = None  # of a local worker: the queue that takes its progress
@@ -117,33 +119,18 @@ class RayEngine:
             self.ray.shutdown()
 
     def _connect(self) -> None:
-        address, ray = self.address, self.ray
-        options: dict[str, Any] = {
-            "log_to_driver": False, "logging_level": logging.ERROR, "include_dashboard": False,
-        }  # fmt: skip
-        if address != "local":
-            options = {**options, "address": address}
-            del options["include_dashboard"]
-        if address not in ("local", "auto"):
-            _check_answers(address)
+        options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+        if self.address == "local":
+            options["include_dashboard"] = False
+        else:
+            options["address"] = self.address
+            _check_answers(self.address)
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-        errors: list[BaseException] = []
-
-        def connect() -> None:
-            try:
-                ray.init(**options)
-            except BaseException as error:
-                errors.append(error)
-
-        # In a thread, since to something that isn't Ray it tries to connect for minutes.
-        thread = threading.Thread(target=connect, daemon=True)
-        thread.start()
-        thread.join(CONNECT_SECONDS if address != "local" else None)
-        if errors or thread.is_alive():
-            reason = str(errors[0]).splitlines()[0] if errors else "no answer"
-            raise UserError(
-                f"--address {address}: {reason}; start Ray there with: ray start --head"
-            )
+        try:
+            self.ray.init(**options)
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise UserError(f"--address {self.address}: {reason}; {START}") from error
 
     def _run(self, jobs: Sequence[Job], out: Path, token: str, done: Done, post: Post) -> None:
         ray = self.ray
@@ -169,15 +156,20 @@ class RayEngine:
 
 
 def _check_answers(address: str) -> None:
-    host, colon, port = address.rpartition(":")
-    if not colon or not port.isdecimal():
-        raise UserError(f"--address: expected auto, local or host:port, got {address!r}")
+    """Raises UserError unless a Ray answers: ray.init would try for minutes."""
+    check = [sys.executable, "-m", "ray.scripts.scripts", "health-check"]
     try:
-        socket.create_connection((host, int(port)), timeout=10).close()
+        if address != "auto":
+            host, colon, port = address.rpartition(":")
+            if not colon or not port.isdecimal():
+                raise UserError(f"--address: expected auto, local or host:port, got {address!r}")
+            socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()
+            check += ["--address", address]
+        subprocess.run(check, capture_output=True, check=True, timeout=CONNECT_SECONDS)
     except OSError as error:
-        raise UserError(
-            f"--address {address}: {error.strerror or error}; start Ray with: ray start --head"
-        ) from error
+        raise UserError(f"--address {address}: {error.strerror or error}; {START}") from error
+    except subprocess.SubprocessError as error:
+        raise UserError(f"--address {address}: no Ray answers; {START}") from error
 
 
 @contextmanager

@@ -139,11 +139,10 @@ class BaselineJob:
 
 @contextmanager
 def _into_log(out: Path, cell: Cell) -> Iterator[None]:
-    """What a run prints, into a file of its own."""
-    folder = store.task_folder(out, cell) / "logs"
-    folder.mkdir(parents=True, exist_ok=True)
-    name = store.run_folder(out, cell).name
-    log = (folder / f"{name}.txt").open("a", encoding="utf-8")
+    """What a run prints, into a file beside its directory."""
+    folder = store.run_folder(out, cell)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    log = folder.with_name(f"{folder.name}.log").open("a", encoding="utf-8")
     with log, redirect_stdout(log), redirect_stderr(log):
         yield
 
@@ -164,7 +163,6 @@ def _train(config: TrainConfig, folder: Path, post: Post, name: str) -> None:
         finished = train(begun, resume=folder, listeners=[listener])
     else:
         _remove_empty(folder)
-        folder.parent.mkdir(parents=True, exist_ok=True)
         finished = train(config.model_copy(update={"run_dir": folder}), listeners=[listener])
     if not finished:
         raise Interrupted

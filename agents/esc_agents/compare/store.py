@@ -4,7 +4,7 @@
                        baselines.json   drivers that learn nothing
                        tuning/*.json    tuning runs
                        results/*.json   runs of the study
-                       runs/            directories of esc-train, logs/ what it said
+                       runs/            directories of esc-train, and what it said
 """
 
 from __future__ import annotations

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
+from esc_agents.compare import store
 from esc_agents.compare.grid import Cell, CompareConfig
 from esc_agents.compare.store import Baselines, OrderEffect, Result
 from esc_agents.evaluate import Episode, Summary
@@ -67,3 +69,33 @@ def baselines(blind: float = 0.0, rule: float = 10.0) -> Baselines:
 
     names = {"always IDLE": summary(blind), "random": summary(blind - 5)}
     return Baselines(names, summary(rule), {"esc-gym": "0"})
+
+
+class HereEngine:
+    """Runs jobs one after the other in this process, and remembers their names."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def run(self, jobs: Any, out: Any, done: Any, post: Any) -> None:
+        for job in jobs:
+            self.names.append(job.name)
+            error = None
+            try:
+                job.do(out, post)
+            except Exception as raised:
+                error = raised
+            done(job, error)
+
+
+def measured(out: Any) -> dict[str, Any]:
+    """What a comparison found, without what differs between two that are equal."""
+    found: dict[str, Any] = {}
+    for folder in store.task_folders(out):
+        for run in store.results(folder):
+            found[run.cell.name] = replace(run, seconds=0.0, made_with={})
+        for tuned in store.tuned(folder):
+            found[f"tuning {tuned.cell.name}"] = tuned.returns
+        baselines = store.baselines(folder)
+        found[folder.name] = baselines and (baselines.blind, baselines.rule)
+    return found

@@ -1,0 +1,184 @@
+"""The whole of a small comparison, begun, broken, gone on with."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from filelock import FileLock
+
+from esc_agents.checks import check
+from esc_agents.compare import store
+from esc_agents.compare.comparison import choice, compare, plan
+from esc_agents.compare.grid import EPISODES, study_cells, train_config, tuning_cells
+from esc_agents.errors import UserError
+from esc_agents.evaluate import evaluate, model_policy
+from esc_agents.policies import load_policy
+from esc_agents.train import train, vectorise
+from tests.esc_agents.compare.small import ENV, HereEngine, measured, small
+
+TASK = f"{ENV}-ppo"
+
+
+def test_everything_is_there(compared):
+    names = set(measured(compared))
+    assert {cell.name for cell in study_cells(small())} < names
+    assert {f"tuning {cell.name}" for cell in tuning_cells(small())} < names
+    for name in ("report.html", "report.md", "summary.csv", "runs.csv", "command.txt"):
+        assert (compared / name).stat().st_size > 0
+
+
+def test_a_run_is_what_esc_train_makes_of_its_settings(compared, tmp_path):
+    """Trained and evaluated by hand, against what the comparison found."""
+    cell = next(c for c in study_cells(small()) if c.repr == "fp" and c.seed == 1)
+    (result,) = [r for r in store.results(compared / TASK) if r.cell.name == "fp-s1"]
+    settings = {**cell.__dict__, "candidate": result.cell.candidate}
+    config = train_config(small(), type(cell)(**settings), 6)
+    train(config.model_copy(update={"run_dir": tmp_path / "run"}))
+    policy = load_policy(tmp_path / "run")[0]
+    envs = vectorise(config, 1, evaluation=True)
+    episodes = evaluate(envs, model_policy(policy), range(EPISODES, EPISODES + 3))
+    assert result.drives[""] == episodes
+    assert result.vehicles == result.slots == 6
+    shuffled = vectorise(config, 1, evaluation=True, shuffle=True)
+    again = evaluate(shuffled, model_policy(policy), range(EPISODES, EPISODES + 3))
+    assert [e.seed for e in result.shuffled] == [e.seed for e in again]
+
+
+def test_traffic_at_test_time_is_as_asked_for(compared):
+    runs = {r.cell.name: r for r in store.results(compared / TASK)}
+    assert set(runs["esc-s0"].drives) == {"", "more"}
+    assert set(runs["esc-more-s0"].drives) == {"", "as it is"}
+    assert (runs["esc-s0"].vehicles, runs["esc-more-s0"].vehicles) == (6, 9)
+    more = [e.vehicles for e in runs["esc-s0"].drives["more"]]
+    assert sum(more) > sum(e.vehicles for e in runs["esc-s0"].drives[""])
+
+
+def test_the_best_candidate_is_taken(compared):
+    planned = plan(small())
+    for result in store.results(compared / TASK):
+        tuned = [t for t in store.tuned(compared / TASK) if t.cell.repr == result.cell.repr]
+        best = max(sum(t.returns) / len(t.returns) for t in tuned)
+        chosen = choice(planned, result.cell, compared)
+        assert result.cell.candidate == chosen
+        assert best in [
+            sum(t.returns) / len(t.returns) for t in tuned if t.cell.candidate == chosen
+        ]
+
+
+def test_what_is_finished_is_not_done_again(own, capsys):
+    before = {path: path.stat().st_mtime_ns for path in (own / TASK / "results").iterdir()}
+    engine = HereEngine()
+    compare(small(), own, engine)
+    assert engine.names == []
+    assert "6 runs, 6 of them finished" in capsys.readouterr().out
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+
+
+def test_more_is_added_to_what_there_is(own):
+    engine = HereEngine()
+    compare(small(repr=("esc", "fp", "mean"), seeds=3), own, engine)
+    tuned = {name for name in engine.names if "tuning" in name}
+    assert tuned == {f"{TASK}/tuning/mean-lr1-x{scale}-s1000" for scale in ("1", "0.1")}
+    assert set(engine.names) - tuned == {
+        f"{TASK}/{name}"
+        for name in ("esc-s2", "fp-s2", "mean-s0", "mean-s1", "mean-s2", "mean-more-s0")
+    }
+
+
+def test_a_lost_result_is_measured_again_without_training(own, compared):
+    (own / TASK / "results" / "esc-s1.json").unlink()
+    policy = own / TASK / "runs" / "esc-s1" / "policy.safetensors"
+    before = policy.stat().st_mtime_ns
+    compare(small(), own, HereEngine())
+    assert policy.stat().st_mtime_ns == before
+    assert measured(own) == measured(compared)
+
+
+def test_a_damaged_result_is_named_and_nothing_is_trained(own):
+    path = own / TASK / "results" / "fp-s0.json"
+    path.write_text(path.read_text()[:-9])
+    engine = HereEngine()
+    with pytest.raises(UserError, match=r"fp-s0\.json.*remove it and start again"):
+        compare(small(seeds=3), own, engine)
+    assert engine.names == []
+
+
+@pytest.mark.parametrize("broken", ["foreign", "policy"])
+def test_a_broken_run_is_named_and_the_rest_is_kept(own, broken):
+    folder = own / TASK / "runs" / "esc-s1"
+    (own / TASK / "results" / "esc-s1.json").unlink()
+    if broken == "foreign":
+        shutil.rmtree(folder)
+        folder.mkdir()
+        (folder / "notes.txt").write_text("mine")
+    else:
+        (folder / "policy.safetensors").write_bytes(b"x")
+    with pytest.raises(UserError, match=r"1 of 3 jobs failed, the rest is kept.*esc-s1"):
+        compare(small(seeds=3), own, HereEngine())
+    assert (folder / "notes.txt").exists() == (broken == "foreign")
+    assert store.path_of(own, next(c for c in study_cells(small(seeds=3)) if c.seed == 2)).exists()
+
+
+def test_folders_of_a_run_that_never_began_are_in_nobodys_way(own, compared):
+    (own / TASK / "results" / "esc-s1.json").unlink()
+    folder = own / TASK / "runs" / "esc-s1"
+    shutil.rmtree(folder)
+    (folder / "checkpoints").mkdir(parents=True)
+    (folder / ".lock").touch()
+    (folder / ".config.yaml.1.tmp").touch()
+    compare(small(), own, HereEngine())
+    assert measured(own) == measured(compared)
+
+
+def test_other_settings_are_refused(own):
+    with pytest.raises(UserError, match=r"begun with steps=32, now asked for with 64"):
+        compare(small(steps=64), own, HereEngine())
+
+
+def test_slots_are_declared():
+    assert plan(small(slots=4)).slots == {ENV: 4}
+    n = (
+        check(train_config(small(), study_cells(small())[0], 1))
+        .observation_space["vehicles"]
+        .shape[0]
+    )
+    assert plan(small()).slots == {ENV: n}
+    assert plan(small(slots=99)).slots == {ENV: n}
+
+
+SCRIPT = """
+from pathlib import Path
+from esc_agents.compare.comparison import compare
+from esc_agents.compare.engines import LocalEngine
+from tests.esc_agents.compare.small import small
+if __name__ == "__main__":
+    compare(small(), Path("out"), LocalEngine(2))
+"""
+
+
+def test_a_killed_comparison_goes_on(compared, tmp_path):
+    """Killed after its first run; its processes end with it; the second time equals one go."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    out, environment = tmp_path / "out", {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "script.py"]
+    driver = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL)
+    first = None
+    try:
+        while driver.poll() is None and first is None:
+            time.sleep(0.02)
+            first = next((out / TASK / "results").glob("*.json"), None)
+    finally:
+        driver.send_signal(signal.SIGKILL)
+        driver.wait()
+    assert first is not None
+    before = first.stat().st_mtime_ns
+    for lock in (out / TASK / "runs").glob("*/.lock"):
+        with FileLock(lock, timeout=20):  # nobody is left in it
+            pass
+    subprocess.run(command, cwd=tmp_path, env=environment, check=True, stdout=subprocess.DEVNULL)
+    assert first.stat().st_mtime_ns == before
+    assert measured(out) == measured(compared)

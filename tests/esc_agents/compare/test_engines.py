@@ -1,0 +1,201 @@
+"""Engines against the same comparison in this process; Ray is a real one, started here."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from esc_agents.compare.comparison import compare
+from esc_agents.compare.engines import LocalEngine, RayEngine
+from esc_agents.compare.jobs import Progress
+from esc_agents.errors import UserError
+from tests.esc_agents.compare.small import measured, small
+
+
+@dataclass(frozen=True)
+class Writes:
+    """A job that says where it ran, after a while."""
+
+    name: str
+    seconds: float = 0.0
+    fails: bool = False
+
+    def files(self, out: Path) -> list[Path]:
+        return [out / "found" / self.name]
+
+    def do(self, out: Path, post: Any) -> None:
+        post(Progress(self.name, 7))
+        time.sleep(self.seconds)
+        if self.fails:
+            raise UserError(f"{self.name} cannot be done")
+        (out / "found").mkdir(exist_ok=True)
+        (out / "found" / self.name).write_text(f"{os.getpid()} {out}")
+
+
+class Heard:
+    """What an engine said."""
+
+    def __init__(self) -> None:
+        self.ended: dict[str, Exception | None] = {}
+        self.posts: list[Progress] = []
+
+    def done(self, job: Any, error: Exception | None) -> None:
+        self.ended[job.name] = error
+
+
+def run(engine: Any, jobs: list[Writes], out: Path) -> Heard:
+    heard = Heard()
+    engine.run(jobs, out, heard.done, heard.posts.append)
+    return heard
+
+
+def check_all(heard: Heard, jobs: list[Writes], out: Path) -> None:
+    assert set(heard.ended) == {job.name for job in jobs}
+    assert {post.name for post in heard.posts} <= set(heard.ended)
+    for job in jobs:
+        error = heard.ended[job.name]
+        assert (str(error) if error else None) == (
+            f"{job.name} cannot be done" if job.fails else None
+        )
+        assert (out / "found" / job.name).exists() != job.fails
+
+
+JOBS = [Writes("a", 0.5), Writes("b", fails=True), Writes("c"), Writes("d", 0.5)]
+
+
+def test_local_processes(tmp_path):
+    heard = run(LocalEngine(2), JOBS, tmp_path)
+    check_all(heard, JOBS, tmp_path)
+    assert heard.posts
+    pids = {(tmp_path / "found" / name).read_text().split()[0] for name in ("a", "d")}
+    assert str(os.getpid()) not in pids
+
+
+@dataclass(frozen=True)
+class Dies(Writes):
+    def do(self, out: Path, post: Any) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_local_process_that_dies_is_told(tmp_path):
+    with pytest.raises(UserError, match="a process of the comparison died"):
+        run(LocalEngine(1), [Dies("x")], tmp_path)
+
+
+@pytest.fixture
+def quiet_ray(monkeypatch):
+    """Ray's warnings about itself are not ours."""
+    pytest.importorskip("ray")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    monkeypatch.setenv("RAY_DISABLE_IMPORT_WARNING", "1")
+
+
+@pytest.mark.filterwarnings("default")
+def test_ray_with_and_without_a_shared_directory(tmp_path, quiet_ray):
+    for shared in (None, False):
+        out = tmp_path / str(shared)
+        out.mkdir()
+        heard = run(RayEngine("local", 1, shared), JOBS, out)
+        check_all(heard, JOBS, out)
+        where = (out / "found" / "a").read_text().split()[1]
+        assert (where == str(out)) == (shared is None)
+        assert not (out / ".token").exists()
+
+
+@contextlib.contextmanager
+def node(*options: str):
+    """``ray start`` in a process group of its own, which ends with the block."""
+    command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--block", "--num-cpus=1"]
+    process = subprocess.Popen(
+        [*command, "--disable-usage-stats", *options], start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        yield process
+    finally:
+        kill(process)
+
+
+def kill(process: subprocess.Popen) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+def wait_for(port: int) -> None:
+    for _ in range(300):
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+            return
+        time.sleep(0.1)
+    raise TimeoutError(f"nothing answers at {port}")
+
+
+@pytest.mark.filterwarnings("default")
+def test_two_nodes_of_which_one_is_killed(compared, tmp_path, quiet_ray):
+    """A whole comparison on two nodes on loopback; one is lost in mid-run, and no result is."""
+    port = free_port()
+    address, out = f"127.0.0.1:{port}", tmp_path / "out"
+    with node("--head", f"--port={port}", "--include-dashboard=false") as head:
+        wait_for(port)
+        with node(f"--address={address}") as second:
+
+            def lose() -> None:
+                while not list(out.glob("*/results/*.json")):
+                    time.sleep(0.05)
+                kill(second)
+
+            killer = threading.Thread(target=lose, daemon=True)
+            killer.start()
+            compare(small(), out, RayEngine(address, 1))
+            killer.join(timeout=10)
+            assert second.poll() is not None
+            assert head.poll() is None
+    assert measured(out) == measured(compared)
+
+
+@pytest.mark.parametrize("address", ["nowhere", "127.0.0.1:x", "127.0.0.1:1"])
+def test_addresses_that_are_none_or_do_not_answer(tmp_path, address, quiet_ray):
+    start = time.monotonic()
+    with pytest.raises(UserError, match=f"--address.*{address}"):
+        run(RayEngine(address, 1), JOBS, tmp_path)
+    assert time.monotonic() - start < 30
+
+
+@pytest.mark.filterwarnings("default")
+def test_an_address_where_something_else_answers(tmp_path, quiet_ray, monkeypatch):
+    monkeypatch.setattr("esc_agents.compare.engines.CONNECT_SECONDS", 3)
+    with socket.socket() as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        deaf.listen()
+        address = f"127.0.0.1:{deaf.getsockname()[1]}"
+        with pytest.raises(UserError, match=rf"--address {address}: no Ray answers"):
+            run(RayEngine(address, 1), JOBS, tmp_path)
+
+
+@pytest.mark.filterwarnings("default")
+def test_auto_without_a_ray_here(tmp_path, quiet_ray, monkeypatch):
+    monkeypatch.setattr("esc_agents.compare.engines.CONNECT_SECONDS", 5)
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # where auto looks first
+    with pytest.raises(UserError, match=r"--address auto: no Ray answers; .*ray start --head"):
+        run(RayEngine("auto", 1), JOBS, tmp_path)
+
+
+def test_without_ray_installed(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(UserError, match=r"Ray is not installed.*esc-gym\[ray\]"):
+        RayEngine("local", 1)
