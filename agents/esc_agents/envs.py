@@ -47,7 +47,7 @@ class RuleDriver(gym.Wrapper):
         base: Any = self.unwrapped
         ego, vehicles = base.vehicle, base.road.vehicles
         speeds = getattr(ego, "target_speeds", (ego.MAX_SPEED,))
-        kept = {name: getattr(ego, name, None) for name in ("target_lane_index", "route")}
+        kept: Any = {name: getattr(ego, name, None) for name in ("target_lane_index", "route")}
         driver = IDMVehicle(
             base.road, ego.position, ego.heading, ego.speed, target_speed=float(speeds[-1]), **kept
         )
@@ -70,10 +70,10 @@ class Progress(gym.Wrapper):
         observation, reward, terminated, truncated, info = self.env.step(action)
         base: Any = self.unwrapped
         vehicle = base.vehicle
-        reward += self.reward * speed_along_lane(vehicle) / REFERENCE_SPEED
+        progress = self.reward * speed_along_lane(vehicle) / REFERENCE_SPEED
         if self.offroad_terminal and not vehicle.on_road:
             terminated = True
-        return observation, float(reward), terminated, truncated, info
+        return observation, float(reward) + progress, terminated, truncated, info
 
 
 class DrivingMonitor(gym.Wrapper):

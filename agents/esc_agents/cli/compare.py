@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Literal
@@ -49,7 +50,7 @@ def main() -> None:
 
 
 def command(args: list[str]) -> int:
-    """0: done."""
+    """0: done; 130: interrupted, saved."""
     early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     early.add_argument("--config")
     try:
@@ -72,7 +73,12 @@ def command(args: list[str]) -> int:
         return 0
     local = arguments.engine == "local"
     engine = LocalEngine(workers) if local else RayEngine(arguments.address, arguments.cpus)
-    compare(config, arguments.out, engine)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        compare(config, arguments.out, engine)
+    except KeyboardInterrupt:
+        print("Interrupted; what is finished is kept. Start again to go on.", flush=True)
+        return 130
     return 0
 
 

@@ -31,7 +31,7 @@ from esc_agents.compare.report import write_report
 from esc_agents.compare.store import Tuned
 from esc_agents.errors import UserError
 from esc_agents.report import show
-from esc_agents.run import note_command
+from esc_agents.run import locked, note_command
 from esc_agents.train import say
 
 
@@ -76,6 +76,12 @@ def compare(config: CompareConfig, out: Path, engine: Engine) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"--out {out}: {error.strerror}") from error
+    with locked(out):
+        _compare(planned, out, engine)
+
+
+def _compare(planned: Plan, out: Path, engine: Engine) -> None:
+    config = planned.config
     for env in config.env:
         store.begin_task(out, config, env)
     note_command(out)

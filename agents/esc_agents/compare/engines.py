@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Protocol
 
-from esc_agents.compare.jobs import Job, Post, Progress, collected
+from esc_agents.compare.jobs import Interrupted, Job, Post, Progress, collected
 from esc_agents.errors import UserError
 from esc_agents.run import write_atomically
 
@@ -27,8 +28,9 @@ SPAWN = get_context("spawn")  # torch's threads do not survive a fork
 CONNECT_SECONDS = 15
 START = "start Ray there with: ray start --head"
 RETRIES = 5  # of a job whose node or process was lost
-Done = Callable[[Job, Exception | None], None]
+Done = Callable[[Job, BaseException | None], None]
 _posts: Any = None  # of a local worker: the queue that takes its progress
+_stopping: Any = None  # of a local worker: set when it is to stop
 
 
 class Engine(Protocol):
@@ -46,9 +48,9 @@ class LocalEngine:
         self.workers = workers
 
     def run(self, jobs: Sequence[Job], out: Path, done: Done, post: Post) -> None:
-        posts = SPAWN.Queue()
+        posts, stopping = SPAWN.Queue(), SPAWN.Event()
         count = min(self.workers, len(jobs))
-        pool = ProcessPoolExecutor(count, SPAWN, _start_worker, (posts, list(sys.path)))
+        pool = ProcessPoolExecutor(count, SPAWN, _start_worker, (posts, stopping, list(sys.path)))
         running: dict[Future, Job] = {pool.submit(_work, job, out): job for job in jobs}
         try:
             while running:
@@ -62,9 +64,10 @@ class LocalEngine:
                             "a process of the comparison died: killed, or out of memory; start "
                             "again to go on, with fewer --workers if memory was short"
                         )
-                    if isinstance(error, BaseException) and not isinstance(error, Exception):
-                        raise error
                     done(job, error)
+        except KeyboardInterrupt:
+            stopping.set()
+            raise
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -74,21 +77,29 @@ def _waiting(posts: Any) -> Iterator[Progress]:
         yield posts.get()
 
 
-def _start_worker(posts: Any, path: list[str]) -> None:
-    global _posts
-    _posts, sys.path[:] = posts, path
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+def _start_worker(posts: Any, stopping: Any, path: list[str]) -> None:
+    global _posts, _stopping
+    _posts, _stopping, sys.path[:] = posts, stopping, path
+    # Ctrl-C reaches the whole process group; the comparison decides when its workers stop.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "setsid"):
+        os.setsid()
+    threading.Thread(target=_watch, daemon=True).start()
 
 
-def _end_with_parent() -> None:
-    """A worker whose comparison was killed must not train on: nobody would keep the result."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+def _watch() -> None:
+    """Stops training when the comparison is to stop, and ends with it if it was killed."""
+    parent: Any = multiprocessing.parent_process()
+    while parent.is_alive():
+        if _stopping.wait(0.5):
+            os.kill(os.getpid(), signal.SIGINT)
+            parent.join()
+    os._exit(1)
 
 
 def _work(job: Job, out: Path) -> None:
+    if _stopping.is_set():
+        raise Interrupted
     job.do(out, _posts.put)
 
 

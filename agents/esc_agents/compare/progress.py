@@ -47,7 +47,7 @@ class Board:
     def __init__(self, title: str, jobs: Sequence[Job], steps: dict[str, int]) -> None:
         self.title, self.steps = title, steps
         self.count, self.ended = len(jobs), 0
-        self.failed: list[tuple[Job, Exception]] = []
+        self.failed: list[tuple[Job, BaseException]] = []
         self.rows: dict[str, _Row] = {}
         for job in jobs:
             row = self.rows.setdefault(_label(job), _Row())
@@ -77,7 +77,7 @@ class Board:
         row.begun = row.begun or time.monotonic()
         row.posts[progress.name] = progress
 
-    def done(self, job: Job, error: Exception | None) -> None:
+    def done(self, job: Job, error: BaseException | None) -> None:
         """A job has ended."""
         self.ended += 1
         row = self.rows[_label(job)]

@@ -80,7 +80,7 @@ def test_a_dry_run_trains_nothing(call):
         (["--repr", "esk"], "repr: unknown representation 'esk'"),
         (["--seeds", "0"], "seeds Input should be greater than or equal to 1 (got 0)"),
         (["--steps", "x"], "steps"),
-        (["--algo", "sac", "--env", "roundabout"], "--algo sac on roundabout-v0: highway-env cannot"),
+        (["--algo", "sac", "--env", "merge", "--train", "{}"], "cannot do continuous actions"),
         (["--engine", "dask"], "engine"),
         (["--engine", "ray", "--address", "127.0.0.1:1"], "127.0.0.1:1: Connection refused"),
         (["--train", "{ppo: {n_step: 5}}"], "train: unknown key 'ppo.n_step'; did you mean"),

@@ -14,9 +14,10 @@ from typing import Any
 
 import pytest
 
+from esc_agents.callbacks import StopOnSignal
 from esc_agents.compare.comparison import compare
 from esc_agents.compare.engines import LocalEngine, RayEngine
-from esc_agents.compare.jobs import Progress
+from esc_agents.compare.jobs import Interrupted, Progress
 from esc_agents.errors import UserError
 from tests.esc_agents.compare.small import measured, small
 
@@ -89,6 +90,28 @@ class Dies(Writes):
 def test_a_local_process_that_dies_is_told(tmp_path):
     with pytest.raises(UserError, match="a process of the comparison died"):
         run(LocalEngine(1), [Dies("x")], tmp_path)
+
+
+@dataclass(frozen=True)
+class Trains(Writes):
+    """As training does: goes on until a signal comes, then saves."""
+
+    def do(self, out: Path, post: Any) -> None:
+        with StopOnSignal() as stop:
+            post(Progress(self.name, 0))
+            while not stop.interrupted:
+                time.sleep(0.05)
+        (out / self.name).touch()
+        raise Interrupted
+
+
+def test_an_interrupted_comparison_lets_running_jobs_save_and_begins_no_others(tmp_path):
+    def interrupt(progress: Progress) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        LocalEngine(1).run([Trains(n) for n in "abc"], tmp_path, Heard().done, interrupt)
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 @pytest.fixture
