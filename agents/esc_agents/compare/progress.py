@@ -12,10 +12,10 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from esc_agents.compare.jobs import Job, Progress, TrainJob
+from esc_agents.compare.jobs import BaselineJob, Job, Progress, TrainJob
 from esc_agents.train import say
 
-COLUMNS = ("", "runs", "steps", "return", "collisions", "steps/s", "left")
+COLUMNS = ("", "runs", "steps", "return", "crashes", "steps/s", "left")
 
 
 @dataclass
@@ -107,7 +107,10 @@ class Board:
         """As it is now."""
         table = Table(title=f"{self.title}: {self.ended} of {self.count}", title_justify="left")
         for column in COLUMNS:
-            table.add_column(column, justify="right" if column else "left", no_wrap=True)
+            if column:  # numbers in full; where there is no room, names fold
+                table.add_column(column, justify="right", no_wrap=True, min_width=len(column))
+            else:
+                table.add_column(column, overflow="fold")
         for label, row in self.rows.items():
             table.add_row(label, f"{row.done}/{row.runs}", *self._numbers(row))
         left = self.left()
@@ -123,7 +126,7 @@ class Board:
         rate = gained / took if took > 1 else None
         left = (row.total - row.steps) / rate if rate else None
         return [
-            f"{row.steps / 1000:.0f}k of {row.total / 1000:.0f}k",
+            f"{row.steps / 1000:.0f}k/{row.total / 1000:.0f}k",
             "" if reward is None else f"{reward:.2f}",
             "" if crashed is None else f"{crashed:.0%}",
             "" if rate is None or row.done == row.runs else f"{rate:.0f}",
@@ -134,8 +137,8 @@ class Board:
 def _label(job: Job) -> str:
     if isinstance(job, TrainJob):
         cell: Any = job.cell
-        return f"{cell.task} {cell.repr}{' in ' + cell.traffic if cell.traffic else ''}"
-    return job.name
+        return f"{cell.env} {cell.repr}{f' ({cell.traffic})' if cell.traffic else ''}"
+    return f"{job.env} baselines" if isinstance(job, BaselineJob) else job.name
 
 
 def _clock(seconds: float | None) -> str:
