@@ -15,7 +15,7 @@ JOBS: list[Any] = [TrainJob(small(), cell, 6) for cell in CELLS] + [BaselineJob(
 STEPS = {job.name: 1000 for job in JOBS[:-1]}
 
 
-def lines(board, width=80) -> dict[str, list[str]]:
+def lines(board, width=100) -> dict[str, list[str]]:
     """The cells of the table's rows, by the first."""
     console = Console(width=width)
     with console.capture() as printed:
