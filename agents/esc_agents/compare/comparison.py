@@ -33,13 +33,19 @@ from esc_agents.errors import UserError
 from esc_agents.report import show
 from esc_agents.run import locked, note_command
 from esc_agents.train import say
+from esc_gym.encoders import APEncoder, representation
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be done. slots: Z of each scenario; tuning, study: all runs, finished or not."""
+    """What is to be done.
+
+    vehicles: N of each scenario. slots: Z of fp and ap there. tuning, study: all runs, finished or
+    not.
+    """
 
     config: CompareConfig
+    vehicles: dict[str, int]
     slots: dict[str, int]
     tuning: list[Cell]
     study: list[Cell]
@@ -48,25 +54,24 @@ class Plan:
         """Training steps of a run."""
         return train_config(self.config, cell, self.slots[cell.env]).steps
 
+    def jobs(self, cells: Sequence[Cell]) -> list[Job]:
+        """What trains them."""
+        return [TrainJob(self.config, cell, self.slots[cell.env]) for cell in cells]
+
 
 def plan(config: CompareConfig) -> Plan:
     """Looks at everything that a user can get wrong. Raises UserError."""
     check_transfer(config)
-    slots = {}
+    vehicles = {}
     for env in config.env:
-        for traffic in ("", *config.transfer.get(env, {})):
-            base = scenario(config, env, traffic)
-            for repr in config.repr:
-                check(base.model_copy(update={"repr": repr}))
-        n = vehicles(config, env)
-        slots[env] = min(config.slots or n, n)
-    return Plan(config, slots, tuning_cells(config), study_cells(config))
-
-
-def vehicles(config: CompareConfig, env: str) -> int:
-    """N of a scenario."""
-    space: Any = check(scenario(config, env)).observation_space
-    return space["vehicles"].shape[0]
+        for traffic in config.transfer.get(env, {}):
+            check(scenario(config, env, traffic))
+        for repr in config.repr:
+            probe = check(scenario(config, env).model_copy(update={"repr": repr}))
+            space: Any = probe.observation_space
+            vehicles[env] = space["vehicles"].shape[0]
+    slots = {env: min(config.slots or n, n) for env, n in vehicles.items()}
+    return Plan(config, vehicles, slots, tuning_cells(config), study_cells(config))
 
 
 def compare(config: CompareConfig, out: Path, engine: Engine) -> None:
@@ -74,10 +79,10 @@ def compare(config: CompareConfig, out: Path, engine: Engine) -> None:
     planned = plan(config)
     try:
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"--out {out}: {error.strerror}") from error
-    with locked(out):
-        _compare(planned, out, engine)
+        with locked(out):
+            _compare(planned, out, engine)
+    except OSError as error:  # full, or not ours to write
+        raise UserError(f"--out {error.filename or out}: {error.strerror}") from error
 
 
 def _compare(planned: Plan, out: Path, engine: Engine) -> None:
@@ -88,12 +93,10 @@ def _compare(planned: Plan, out: Path, engine: Engine) -> None:
     unfinished(planned.study, out)  # a damaged result is said before anything is trained
     tasks = [BaselineJob(config, env) for env in config.env]
     jobs: list[Job] = [job for job in tasks if store.baselines(job.files(out)[0].parent) is None]
-    jobs += [
-        TrainJob(config, cell, planned.slots[cell.env]) for cell in unfinished(planned.tuning, out)
-    ]
+    jobs += planned.jobs(unfinished(planned.tuning, out))
     _run("Baselines and tuning", jobs, planned, out, engine)
     chosen = [replace(cell, candidate=choice(planned, cell, out)) for cell in planned.study]
-    jobs = [TrainJob(config, cell, planned.slots[cell.env]) for cell in unfinished(chosen, out)]
+    jobs = planned.jobs(unfinished(chosen, out))
     say(f"{len(chosen)} runs, {len(chosen) - len(jobs)} of them finished, into {out}")
     _run("Study", jobs, planned, out, engine)
     write_report(out)
@@ -143,16 +146,15 @@ def dry_run(config: CompareConfig, out: Path, workers: int) -> None:
     for column in ("scenario", "repr", "N", "Z", "tuning runs", "runs", "finished", "steps each"):
         table.add_column(column, justify="left" if column in ("scenario", "repr") else "right")
     for env in config.env:
-        n = vehicles(config, env)
         for repr in config.repr:
             tuning, study = (
                 [cell for cell in cells if (cell.env, cell.repr) == (env, repr)]
                 for cells in (planned.tuning, planned.study)
             )
             finished = len(study) - len(unfinished(study, out))
-            slots = str(planned.slots[env]) if repr in ("fp", "ap") else ""
-            numbers = (n, slots, len(tuning), len(study), finished, f"{config.steps:,}")
-            table.add_row(env, repr, *map(str, numbers))
+            slots = planned.slots[env] if issubclass(representation(repr), APEncoder) else ""
+            sizes = (planned.vehicles[env], slots, len(tuning), len(study), finished)
+            table.add_row(env, repr, *map(str, sizes), f"{config.steps:,}")
     show(table)
     seconds, memory = 0.0, 0
     for env in config.env:

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import logging
-import multiprocessing
 import os
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Protocol
 
 from esc_agents.compare.jobs import Interrupted, Job, Post, Progress, collected
 from esc_agents.errors import UserError
 from esc_agents.run import write_atomically
+from esc_agents.workers import SPAWN, follow_parent
 
-SPAWN = get_context("spawn")  # torch's threads do not survive a fork
 CONNECT_SECONDS = 15
 START = "start Ray there with: ray start --head"
 RETRIES = 5  # of a job whose node or process was lost
@@ -84,17 +81,7 @@ def _start_worker(posts: Any, stopping: Any, path: list[str]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "setsid"):
         os.setsid()
-    threading.Thread(target=_watch, daemon=True).start()
-
-
-def _watch() -> None:
-    """Stops training when the comparison is to stop, and ends with it if it was killed."""
-    parent: Any = multiprocessing.parent_process()
-    while parent.is_alive():
-        if _stopping.wait(0.5):
-            os.kill(os.getpid(), signal.SIGINT)
-            parent.join()
-    os._exit(1)
+    follow_parent(stopping)
 
 
 def _work(job: Job, out: Path) -> None:

@@ -6,13 +6,12 @@ import resource
 import sys
 import time
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Any
 
 from esc_agents.config import TrainConfig
 from esc_agents.train import closing, new_model, vectorise
+from esc_agents.workers import SPAWN
 
-SPAWN = get_context("spawn")
 LEAST_SECONDS = 2.0
 
 

@@ -8,7 +8,6 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import product
-from multiprocessing import get_context
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any
@@ -24,6 +23,7 @@ from esc_agents.paper.training import CODE_DIM, Cell, overtaking, train
 from esc_agents.records import Damaged
 from esc_agents.run import versions
 from esc_agents.train import say
+from esc_agents.workers import SPAWN, follow_parent
 from esc_gym.encoders import APEncoder, representation
 
 STUDIES: dict[str, list[dict[str, Any]]] = {
@@ -40,7 +40,6 @@ STUDIES: dict[str, list[dict[str, Any]]] = {
 """Beyond the table: what a smaller or larger d3 does, what FP loses where it takes only the Z
 nearest of twenty vehicles, and how policies answer while two vehicles change places."""
 
-SPAWN = get_context("spawn")  # torch's threads do not survive a fork
 _done: Any = None  # of a worker: work that all of them have done, shared
 
 
@@ -172,6 +171,7 @@ def describe(result: Result) -> str:
 def _start_worker(done: Any) -> None:
     global _done
     _done = done
+    follow_parent()
     torch.set_num_threads(1)
 
 
