@@ -136,7 +136,11 @@ def details(tasks: Sequence[Task]) -> Iterator[Block]:
     alt = "Mean return of each representation's final policies, by scenario"
     yield picture("bars", figures.bars(tasks), alt)
     for task in tasks:
-        yield Text(f"**{task.name}**, {task.settings['steps']:,} training steps")
+        seeds = sorted({run.cell.seed for repr in task.reprs for run in task.runs(repr)})
+        yield Text(
+            f"**{task.name}**, {task.settings['steps']:,} training steps, seeds "
+            f"{', '.join(map(str, seeds))}"
+        )
         yield Rows(list(table(task)))
 
 
@@ -255,25 +259,21 @@ def fairness(tasks: Sequence[Task]) -> Iterator[Block]:
     lines = []
     for task in tasks:
         for repr in task.reprs:
-            first = task.runs(repr)[0]
+            runs = task.runs(repr)
+            first, chosen = runs[0], runs[0].cell.candidate
             encoder, policy = first.parameters
-            chosen = first.cell.candidate
+            minutes = sum(run.seconds for run in runs) / len(runs) / 60
             lines.append(
                 [
                     f"{task.name}: {repr}", f"{encoder:,}", f"{policy:,}", str(first.vehicles),
                     "all" if first.slots is None else str(first.slots),
-                    f"{chosen.learning_rate:g}", f"{chosen.scale:g}",
+                    f"{chosen.learning_rate:g}", f"{chosen.scale:g}", f"{minutes:.1f}",
                 ]
             )  # fmt: skip
     header = [
-        "",
-        "parameters of the encoder",
-        "of the policy",
-        "N",
-        "Z",
-        "learning rate x",
-        "code x",
-    ]
+        "", "parameters of the encoder", "of the policy", "N", "Z", "learning rate x", "code x",
+        "minutes a run",
+    ]  # fmt: skip
     yield Rows([header, *lines])
     notes = [note for task in tasks for note in differences(task)]
     yield Text("\n".join(notes), bullets=True) if notes else Text("Nothing else differs.")
