@@ -117,11 +117,13 @@ class RayEngine:
             self.ray.shutdown()
 
     def _connect(self) -> None:
-        options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+        # "local" said outright: without an address Ray looks for a cluster, also for a dead one.
+        options: dict[str, Any] = {
+            "address": self.address, "log_to_driver": False, "logging_level": logging.ERROR,
+        }  # fmt: skip
         if self.address == "local":
             options["include_dashboard"] = False
         else:
-            options["address"] = self.address
             _check_answers(self.address)
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
         try:

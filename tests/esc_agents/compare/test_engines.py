@@ -123,7 +123,8 @@ def quiet_ray(monkeypatch):
 
 
 @pytest.mark.filterwarnings("default")
-def test_ray_with_and_without_a_shared_directory(tmp_path, quiet_ray):
+def test_ray_with_and_without_a_shared_directory(tmp_path, quiet_ray, monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # a cluster that is gone is not asked
     for shared in (None, False):
         out = tmp_path / str(shared)
         out.mkdir()
