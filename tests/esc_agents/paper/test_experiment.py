@@ -62,7 +62,7 @@ def test_finished_cells_are_kept_and_damaged_ones_trained_again(tmp_path, capsys
     assert cli.command(arguments) == 0
     printed = capsys.readouterr().out
     assert "4 cells, 3 of them finished" in printed
-    assert f"{broken}: not a whole result" in printed
+    assert f"{broken}: not a whole record" in printed
     assert "it is trained again" in printed
     assert kept.stat().st_mtime_ns == before
     again = [read(tmp_path / "cells", cell) for cell in cells]

@@ -49,7 +49,7 @@ def test_files(cells, capsys):
     broken = path_of(cells, Cell(2, 10, "ap", 0))
     broken.write_bytes(broken.read_bytes()[:-20])
     report(cells.parent)
-    assert f"{broken}: not a whole result" in capsys.readouterr().out
+    assert f"{broken}: not a whole record" in capsys.readouterr().out
     assert "| 2 | 10 | **51** | **60.1±0.36** |" in (cells.parent / "report.md").read_text()
     assert (
         "95 of the paper's 96 entries are not there yet" in (cells.parent / "report.md").read_text()
