@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from pydantic import PositiveInt
 from tyro import conf
 
@@ -18,7 +19,7 @@ from esc_agents.cli import guarded, parse
 from esc_agents.config import TrainConfig, load_config, scenarios
 from esc_agents.evaluate import Summary, blind_policies, evaluate
 from esc_agents.report import markdown
-from esc_agents.train import action_names, check, say, vectorise
+from esc_agents.train import action_names, check, closing, say, vectorise
 
 
 @dataclass(frozen=True)
@@ -64,14 +65,22 @@ def command(args: list[str]) -> int:
 def floors(config: TrainConfig, episodes: int) -> dict[str, Summary]:
     """Every blind policy of a scenario on ``episodes`` fixed seeds."""
     probe = check(config)
-    envs = vectorise(config, min(config.n_envs, episodes), evaluation=True)
     seed = config.evaluation.seed
-    try:
-        blind = blind_policies(probe.action_space, envs.num_envs, action_names(probe), seed)
-        seeds = range(seed, seed + episodes)
+    seeds = range(seed, seed + episodes)
+    count = min(config.n_envs, episodes)
+    with closing(vectorise(config, count, evaluation=True)) as envs:
+        blind = blind_policies(probe.action_space, count, action_names(probe), seed)
         return {name: Summary.of(evaluate(envs, policy, seeds)) for name, policy in blind.items()}
-    finally:
-        envs.close()
+
+
+def rule_driver(config: TrainConfig, episodes: int) -> Summary:
+    """highway-env's own driver, IDM and MOBIL, in the ego's place on the same seeds."""
+    seeds = range(config.evaluation.seed, config.evaluation.seed + episodes)
+    count = min(config.n_envs, episodes)
+    with closing(vectorise(config, count, evaluation=True, rule_driver=True)) as envs:
+        space = envs.action_space
+        ignored = np.zeros((count, *(space.shape or ())), space.dtype)
+        return Summary.of(evaluate(envs, lambda observations: ignored, seeds))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from math import isinf
 
 from rich.console import Console
@@ -10,6 +12,7 @@ from rich.table import Table
 
 from esc_agents.evaluate import Summary
 
+_BOLD = re.compile(r"\*\*(.*)\*\*")
 COLUMNS = ("policy", "return", "collisions", "speed m/s", "steps", "lane changes", "min TTC s")
 
 
@@ -28,12 +31,17 @@ def cells(name: str, s: Summary) -> list[str]:
 
 def results_table(title: str, results: dict[str, Summary]) -> Table:
     """One row per policy, for the terminal."""
+    return terminal([COLUMNS, *(cells(name, s) for name, s in results.items())], title)
+
+
+def terminal(rows: Sequence[Sequence[str]], title: str = "") -> Table:
+    """The header, then the rows, for the terminal; **bold** as in Markdown."""
     table = Table(title=title, title_justify="left", title_style="bold", header_style="bold")
-    for column in COLUMNS:
-        justify = "left" if column == "policy" else "right"
-        table.add_column(column, justify=justify, no_wrap=True)
-    for name, summary in results.items():
-        table.add_row(*map(escape, cells(name, summary)))  # brackets are markup to rich
+    header, *body = rows
+    for index, column in enumerate(header):
+        table.add_column(column, justify="right" if index else "left")
+    for row in body:  # brackets are markup to rich
+        table.add_row(*(_BOLD.sub(r"[bold]\1[/]", escape(cell)) for cell in row))
     return table
 
 
@@ -45,8 +53,8 @@ def markdown(results: dict[str, Summary]) -> str:
 
 
 def show(table: Table) -> None:
-    """Print to standard output, never narrower than the table needs."""
+    """Print to standard output; where that is no terminal, as wide as the table needs."""
     console = Console()
     if not console.is_terminal:
-        console = Console(width=140)
+        console = Console(width=Console(width=10_000).measure(table).maximum)
     console.print(table)

@@ -1,6 +1,7 @@
-"""Two finished runs that the tests of training, evaluation and the command line share."""
+"""What the tests of training, evaluation and the command line share: two finished runs, a shell."""
 
 import shutil
+import sys
 
 import pytest
 
@@ -26,3 +27,17 @@ def sac_run(tmp_path_factory):
 def own_run(ppo_run, tmp_path):
     """A copy of the PPO run that a test may change."""
     return shutil.copytree(ppo_run, tmp_path / "own")
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch, capsys):
+    """Run a console script as the shell would, in a folder of its own: (code, out, err)."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(script, *args):
+        monkeypatch.setattr(sys, "argv", [script.PROGRAM, *map(str, args)])
+        with pytest.raises(SystemExit) as end:
+            script.main()
+        return end.value.code, *capsys.readouterr()
+
+    return call

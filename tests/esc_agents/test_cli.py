@@ -17,20 +17,6 @@ FAST = [
 ]  # fmt: skip
 
 
-@pytest.fixture
-def call(tmp_path, monkeypatch, capsys):
-    """Run a console script as the shell would, in a folder of its own: (code, out, err)."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(script, *args):
-        monkeypatch.setattr(sys, "argv", [script.PROGRAM, *map(str, args)])
-        with pytest.raises(SystemExit) as end:
-            script.main()
-        return end.value.code, *capsys.readouterr()
-
-    return call
-
-
 def test_train_from_start_to_end(call, tmp_path):
     code, out, err = call(train_cli, *FAST, "--run-dir", "run")
     assert (code, err) == (0, "")

@@ -178,6 +178,7 @@ def test_rule_driver_is_highway_envs_own(env):
             neutral = 1 if isinstance(ours.action_space, gym.spaces.Discrete) else action * 0
             returned, expected = ours.step(action), stock.step(neutral)
             assert list(ours.unwrapped.vehicle.position) == list(driver.position)
+            assert returned[1:4] == expected[1:4]
             if returned[2] or expected[2]:
                 break
         assert ours.unwrapped.vehicle.speed == driver.speed

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from esc_agents.compare import store
+from esc_agents.compare.grid import Candidate
 from esc_agents.compare.store import Baselines, Result, Tuned
 from esc_agents.evaluate import MEANS, Episode, Summary
 from esc_agents.statistics import (
@@ -118,6 +119,17 @@ def load(out: Path) -> list[Task]:
             settings = store.task_settings(folder)
             tasks.append(Task(folder, settings, baselines, results, store.tuned(folder)))
     return tasks
+
+
+def tuning_scores(
+    tuned: Sequence[Tuned], repr: str, tried: Sequence[Candidate]
+) -> dict[Candidate, float]:
+    """Mean return of a representation's tuning runs, by candidate; those without runs left out."""
+    returns: dict[Candidate, list[float]] = {candidate: [] for candidate in tried}
+    for run in tuned:
+        if run.cell.repr == repr:
+            returns[run.cell.candidate] += run.returns
+    return {candidate: float(np.mean(found)) for candidate, found in returns.items() if found}
 
 
 def mean_return(episodes: Sequence[Episode]) -> float:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from rich.table import Table
-
 from esc_agents.checks import check
 from esc_agents.compare import store
+from esc_agents.compare.analysis import tuning_scores
 from esc_agents.compare.engines import Engine
 from esc_agents.compare.estimate import cost
 from esc_agents.compare.grid import (
@@ -28,9 +27,8 @@ from esc_agents.compare.grid import (
 from esc_agents.compare.jobs import BaselineJob, Interrupted, Job, TrainJob
 from esc_agents.compare.progress import Board
 from esc_agents.compare.report import write_report
-from esc_agents.compare.store import Tuned
 from esc_agents.errors import UserError
-from esc_agents.report import show
+from esc_agents.report import show, terminal
 from esc_agents.run import locked, note_command
 from esc_agents.train import say
 from esc_gym.encoders import APEncoder, representation
@@ -112,13 +110,8 @@ def choice(planned: Plan, cell: Cell, out: Path) -> Candidate:
     tried = candidates(planned.config.tuning)
     if len(tried) == 1:
         return tried[0]
-    returns: dict[Candidate, list[float]] = {candidate: [] for candidate in tried}
-    for other in planned.tuning:
-        if (other.env, other.repr) == (cell.env, cell.repr):
-            found = store.read(out, other)
-            assert isinstance(found, Tuned)
-            returns[other.candidate] += found.returns
-    return max(tried, key=lambda candidate: np.mean(returns[candidate]))
+    scores = tuning_scores(store.tuned(store.task_folder(out, cell)), cell.repr, tried)
+    return max(scores, key=lambda candidate: scores[candidate])
 
 
 def _run(title: str, jobs: Sequence[Job], planned: Plan, out: Path, engine: Engine) -> None:
@@ -142,20 +135,17 @@ def _run(title: str, jobs: Sequence[Job], planned: Plan, out: Path, engine: Engi
 def dry_run(config: CompareConfig, out: Path, workers: int) -> None:
     """Print the grid, and what it will take on this machine."""
     planned = plan(config)
-    table = Table(title="Grid", title_justify="left")
-    for column in ("scenario", "repr", "N", "Z", "tuning runs", "runs", "finished", "steps each"):
-        table.add_column(column, justify="left" if column in ("scenario", "repr") else "right")
-    for env in config.env:
-        for repr in config.repr:
-            tuning, study = (
-                [cell for cell in cells if (cell.env, cell.repr) == (env, repr)]
-                for cells in (planned.tuning, planned.study)
-            )
-            finished = len(study) - len(unfinished(study, out))
-            slots = planned.slots[env] if issubclass(representation(repr), APEncoder) else ""
-            sizes = (planned.vehicles[env], slots, len(tuning), len(study), finished)
-            table.add_row(env, repr, *map(str, sizes), f"{config.steps:,}")
-    show(table)
+    rows = [["", "N", "Z", "tuning runs", "runs", "finished", "steps each"]]
+    for env, repr in product(config.env, config.repr):
+        tuning, study = (
+            [cell for cell in cells if (cell.env, cell.repr) == (env, repr)]
+            for cells in (planned.tuning, planned.study)
+        )
+        finished = len(study) - len(unfinished(study, out))
+        slots = planned.slots[env] if issubclass(representation(repr), APEncoder) else ""
+        sizes = (planned.vehicles[env], slots, len(tuning), len(study), finished)
+        rows.append([f"{env} {repr}", *map(str, sizes), f"{config.steps:,}"])
+    show(terminal(rows, "Grid"))
     seconds, memory = 0.0, 0
     for env in config.env:
         cells = [c for c in unfinished([*planned.tuning, *planned.study], out) if c.env == env]

@@ -125,6 +125,7 @@ class RayEngine:
             options["include_dashboard"] = False
         else:
             _check_answers(self.address)
+        # What Ray warns of unless it is set: nothing changes where no GPU is asked for.
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
         try:
             self.ray.init(**options)

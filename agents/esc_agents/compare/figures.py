@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
+from esc_agents import plots
 from esc_agents.compare.analysis import (
     Task,
     duels,
@@ -15,15 +17,7 @@ from esc_agents.compare.analysis import (
     row,
     transfer,
 )
-from esc_agents.statistics import Estimate, mean_interval
-
-# Okabe and Ito's colours, which colour-blind people tell apart.
-COLORS = {
-    "esc": "#0072b2", "fp": "#e69f00", "ap": "#d55e00", "mean": "#009e73", "max": "#cc79a7",
-    "attention": "#56b4e9",
-}  # fmt: skip
-OTHER = "#666666"
-GREY = "0.4"
+from esc_agents.statistics import Estimate
 
 
 def curves(tasks: Sequence[Task]) -> Figure:
@@ -35,17 +29,14 @@ def curves(tasks: Sequence[Task]) -> Figure:
             count = min(len(run.curve["timesteps"]) for run in runs)
             steps = np.mean([run.curve["timesteps"][:count] for run in runs], axis=0)
             returns = [np.mean(run.curve["results"][:count], axis=1) for run in runs]
-            mean, low, high = np.array([mean_interval(v) for v in np.transpose(returns)]).T
-            axes.plot(steps, mean, color=_color(repr), label=repr, linewidth=1.6)
-            if len(runs) > 1:
-                axes.fill_between(steps, low, high, color=_color(repr), alpha=0.15, linewidth=0)
+            plots.band(axes, list(steps), returns, plots.color(repr), repr)
         _limits(axes, task)
         axes.set_title(task.name, fontsize=10)
         axes.set_xlabel("training steps")
         axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:,.0f}k")
-        _tidy(axes)
+        plots.tidy(axes)
     panels[0].set_ylabel("return")
-    _legend(figure, panels)
+    plots.legend(figure, panels)
     return figure
 
 
@@ -55,16 +46,16 @@ def bars(tasks: Sequence[Task]) -> Figure:
     for axes, task in zip(panels, tasks, strict=True):
         for place, repr in enumerate(task.reprs):
             mean = row(task, repr).mean
-            axes.bar(place, mean.value, 0.7, color=_color(repr), alpha=0.75, label=repr)
+            axes.bar(place, mean.value, 0.7, color=plots.color(repr), alpha=0.75, label=repr)
             _interval(axes, place, mean)
             scores = task.scores(repr)
             axes.plot([place] * len(scores), scores, "o", markersize=3, color="0.15", alpha=0.6)
         _limits(axes, task)
         axes.set_xticks(range(len(task.reprs)), task.reprs, fontsize=9)
         axes.set_title(task.name, fontsize=10)
-        _tidy(axes)
+        plots.tidy(axes)
     panels[0].set_ylabel("return")
-    _legend(figure, panels, only_lines=True)
+    plots.legend(figure, panels, of=Line2D)
     return figure
 
 
@@ -78,17 +69,16 @@ def improvement(tasks: Sequence[Task]) -> Figure:
     figure = Figure(figsize=(7, 0.28 * len(lines) + 1), layout="constrained")
     axes: Axes = figure.subplots()
     for place, (_, rival, better) in enumerate(lines):
-        axes.plot(
-            [better.low, better.high], [place, place], color=_color(rival), linewidth=5, alpha=0.35
-        )
-        axes.plot(better.value, place, "o", color=_color(rival), markersize=6)
-    axes.axvline(0.5, color=GREY, linewidth=1, linestyle="--")
+        hue, ends = plots.color(rival), [better.low, better.high]
+        axes.plot(ends, [place, place], color=hue, linewidth=5, alpha=0.35)
+        axes.plot(better.value, place, "o", color=hue, markersize=6)
+    axes.axvline(0.5, color=plots.GREY, linewidth=1, linestyle="--")
     labels = [f"{name}: esc > {rival}" for name, rival, _ in lines]
     axes.set_yticks(range(len(lines)), labels, fontsize=9)
     axes.invert_yaxis()
     axes.set_xlim(0, 1)
     axes.set_xlabel("probability of improvement")
-    _tidy(axes)
+    plots.tidy(axes)
     return figure
 
 
@@ -120,7 +110,7 @@ def _limits(axes: Axes, task: Task) -> None:
         "best blind policy": (task.floor[1].reward, ":"),
     }
     for label, (value, style) in marks.items():
-        axes.axhline(value, color=GREY, linestyle=style, linewidth=1.2, label=label, zorder=0)
+        axes.axhline(value, color=plots.GREY, linestyle=style, linewidth=1.2, label=label, zorder=0)
 
 
 def _interval(axes: Axes, x: float, estimate: Estimate) -> None:
@@ -135,26 +125,3 @@ def _panels(count: int, width: float, height: float) -> tuple[Figure, Sequence[A
     for spare in panels[count:]:
         spare.set_visible(False)
     return figure, list(panels[:count])
-
-
-def _legend(figure: Figure, panels: Sequence[Axes], only_lines: bool = False) -> None:
-    found = {}
-    for axes in panels:
-        handles, labels = axes.get_legend_handles_labels()
-        found |= {
-            label: handle
-            for handle, label in zip(handles, labels, strict=True)
-            if not only_lines or hasattr(handle, "get_linestyle")
-        }
-    figure.legend(
-        list(found.values()), list(found), loc="outside lower center", ncols=min(6, len(found)),
-        frameon=False, fontsize=9,
-    )  # fmt: skip
-
-
-def _color(repr: str) -> str:
-    return COLORS.get(repr, OTHER)
-
-
-def _tidy(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)

@@ -113,7 +113,7 @@ class Cell:
 
     @property
     def task(self) -> str:
-        return f"{self.env}-{self.algo}"
+        return task_name(self.env, self.algo)
 
     @property
     def name(self) -> str:
@@ -122,6 +122,11 @@ class Cell:
         if self.tuning:
             parts.append(f"lr{self.candidate.learning_rate:g}-x{self.candidate.scale:g}")
         return "-".join([*parts, f"s{self.seed}"])
+
+
+def task_name(env: str, algo: str) -> str:
+    """The folder of all runs in a scenario with an algorithm."""
+    return f"{env}-{algo}"
 
 
 def candidates(tuning: TuningConfig) -> list[Candidate]:

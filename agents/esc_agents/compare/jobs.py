@@ -15,10 +15,16 @@ from filelock import FileLock, Timeout
 from stable_baselines3.common.callbacks import BaseCallback
 
 from esc_agents import run
-from esc_agents.checks import check
 from esc_agents.compare import store
-from esc_agents.compare.grid import EPISODES, Cell, CompareConfig, scenario, train_config
-from esc_agents.compare.measure import baselines, drive, encoder_of
+from esc_agents.compare.grid import (
+    EPISODES,
+    Cell,
+    CompareConfig,
+    scenario,
+    task_name,
+    train_config,
+)
+from esc_agents.compare.measure import baselines, drive, encoder_of, examine
 from esc_agents.compare.store import Result, Tuned
 from esc_agents.config import TrainConfig
 from esc_agents.errors import UserError
@@ -81,7 +87,7 @@ class TrainJob:
         start = time.perf_counter()
         config, folder = train_config(self.config, self.cell, self.slots), self.files(out)[1]
         with _into_log(out, self.cell):
-            _train(config, folder, lambda progress: post(progress), self.name)
+            _train(config, folder, post, self.name)
             if self.cell.tuning:
                 saved = read_evaluations(folder / "evaluations.npz")
                 returns = saved["results"][-JUDGED:].ravel().tolist()
@@ -96,16 +102,16 @@ class TrainJob:
         encoder = encoder_of(policy)
         slots = encoder.slots if isinstance(encoder, APEncoder) else None
         vehicles = encoder.max_vehicles
-        own, order, churn = drive(config, policy, episodes)
+        own, order, churn = examine(config, policy, episodes)
         drives = {"": own}
         for traffic in ("", *self.config.transfer.get(cell.env, {})):
             if traffic != cell.traffic:
                 other = scenario(self.config, cell.env, traffic)
                 fields = {"repr": config.repr, "algo": config.algo, "seed": config.seed}
-                drives[traffic or "as it is"], _, _ = drive(
+                drives[traffic or "as it is"] = drive(
                     other.model_copy(update=fields), policy, episodes
                 )
-        shuffled, _, _ = drive(config, policy, episodes, shuffle=True)
+        shuffled = drive(config, policy, episodes, shuffle=True)
         saved = read_evaluations(folder / "evaluations.npz")
         curve = {name: saved[name].tolist() for name in ("timesteps", "results", "crashed")}
         return Result(
@@ -124,17 +130,16 @@ class BaselineJob:
 
     @property
     def name(self) -> str:
-        return f"{self.env}-{self.config.algo}/baselines"
+        return f"{task_name(self.env, self.config.algo)}/baselines"
 
     def files(self, out: Path) -> list[Path]:
-        return [out / f"{self.env}-{self.config.algo}" / "baselines.json"]
+        return [out / task_name(self.env, self.config.algo) / "baselines.json"]
 
     def do(self, out: Path, post: Post) -> None:
-        config = scenario(self.config, self.env)
-        seeds = range(EPISODES, EPISODES + self.config.episodes)
+        found = baselines(scenario(self.config, self.env), EPISODES, self.config.episodes)
         (path,) = self.files(out)
         path.parent.mkdir(parents=True, exist_ok=True)
-        store.write_baselines(path.parent, baselines(config, check(config), seeds))
+        store.write_baselines(path.parent, found)
 
 
 @contextmanager

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import gymnasium as gym
@@ -14,46 +15,46 @@ from torch import nn
 
 from esc_agents.compare.store import Baselines, OrderEffect
 from esc_agents.config import TrainConfig
-from esc_agents.evaluate import Episode, Policy, Summary, blind_policies, evaluate, model_policy
+from esc_agents.evaluate import Episode, evaluate, model_policy
+from esc_agents.floors import floors, rule_driver
 from esc_agents.run import versions
-from esc_agents.train import action_names, vectorise
+from esc_agents.train import closing, vectorise
 from esc_gym.encoders import APEncoder, SetEncoder
 
 
-def drive(
-    config: TrainConfig, policy: Any, seeds: Sequence[int], **options: Any
-) -> tuple[list[Episode], OrderEffect, float | None]:
-    """(episodes, effect of the vehicles' order on decisions, slot churn) of an SB3 policy.
+def drive(config: TrainConfig, policy: Any, seeds: Sequence[int], **options: Any) -> list[Episode]:
+    """Episodes of an SB3 policy. options: of ``make_env``.
 
     The environments may have another N than the policy was trained with, if its encoder takes any.
     """
-    envs: VecEnv = vectorise(config, min(config.n_envs, len(seeds)), evaluation=True, **options)
-    try:
-        take_any_size(policy, envs.observation_space)
+    with _envs(config, policy, len(seeds), **options) as envs:
+        return evaluate(envs, model_policy(policy), seeds)
+
+
+def examine(
+    config: TrainConfig, policy: Any, seeds: Sequence[int]
+) -> tuple[list[Episode], OrderEffect, float | None]:
+    """The same, with what the vehicles' order does to its decisions, and its slot churn."""
+    with _envs(config, policy, len(seeds)) as envs:
         churn = SlotChurn(envs, encoder_of(policy))
         probe = OrderProbe(policy, config.seed, lambda: envs.get_attr("resting"))
         episodes = evaluate(churn, probe, seeds)
         return episodes, probe.effect(), churn.rate()
-    finally:
-        envs.close()
 
 
-def baselines(config: TrainConfig, env: gym.Env, seeds: Sequence[int]) -> Baselines:
-    """Every blind policy of a scenario, and IDM/MOBIL in the ego's place. env: one of them."""
-    count = min(config.n_envs, len(seeds))
-    blind = blind_policies(env.action_space, count, action_names(env), config.evaluation.seed)
-    found = {name: _drives(config, policy, seeds) for name, policy in blind.items()}
-    idle = blind.get("always IDLE", blind.get("always neutral", blind["random"]))
-    rule = _drives(config, idle, seeds, rule_driver=True)
-    return Baselines(found, rule, versions())
+@contextmanager
+def _envs(config: TrainConfig, policy: Any, episodes: int, **options: Any) -> Iterator[VecEnv]:
+    made = vectorise(config, min(config.n_envs, episodes), evaluation=True, **options)
+    with closing(made) as envs:
+        take_any_size(policy, envs.observation_space)
+        yield envs
 
 
-def _drives(config: TrainConfig, policy: Policy, seeds: Sequence[int], **options: Any) -> Summary:
-    envs = vectorise(config, min(config.n_envs, len(seeds)), evaluation=True, **options)
-    try:
-        return Summary.of(evaluate(envs, policy, seeds))
-    finally:
-        envs.close()
+def baselines(config: TrainConfig, first_seed: int, episodes: int) -> Baselines:
+    """Every blind policy of a scenario, and IDM/MOBIL in the ego's place."""
+    evaluation = config.evaluation.model_copy(update={"seed": first_seed})
+    config = config.model_copy(update={"evaluation": evaluation})
+    return Baselines(floors(config, episodes), rule_driver(config, episodes), versions())
 
 
 def network_of(policy: Any) -> nn.Module:

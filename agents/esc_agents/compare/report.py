@@ -1,4 +1,4 @@
-"""The report of a comparison: who drives best where, and whether it was a fair question."""
+"""The report of a comparison: who drives best where."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ from math import isinf
 from pathlib import Path
 from typing import Any
 
-import rich.table
-
 from esc_agents.compare import figures
 from esc_agents.compare.analysis import (
-    OURS,
     Task,
     above_floor,
     drivers,
@@ -27,18 +24,13 @@ from esc_agents.compare.analysis import (
     summary_rows,
     transfer,
 )
+from esc_agents.compare.fairness import fairness, tuning
 from esc_agents.compare.films import film_of
-from esc_agents.compare.grid import (
-    EPISODES,
-    TUNING_EPISODES,
-    TUNING_SEED,
-    TuningConfig,
-    candidates,
-)
+from esc_agents.compare.grid import EPISODES, TUNING_EPISODES
 from esc_agents.config import flow
 from esc_agents.document import Block, Heading, Rows, Text, picture, write
 from esc_agents.errors import UserError
-from esc_agents.report import show
+from esc_agents.report import show, terminal
 from esc_agents.run import write_text
 from esc_agents.statistics import Estimate
 from esc_agents.train import say
@@ -65,7 +57,7 @@ def write_report(out: Path) -> None:
         *films(tasks, out), *fairness(tasks), *tuning(tasks), *provenance(tasks, out),
     ]  # fmt: skip
     for task in tasks:
-        show(_terminal(task))
+        show(terminal(list(table(task)), task.name))
     for name, lines in {"summary": summary_rows(tasks), "runs": run_rows(tasks)}.items():
         write_text(out / f"{name}.csv", as_csv(lines))
     written = write(out, "report", TITLE, blocks)
@@ -248,101 +240,6 @@ def films(tasks: Sequence[Task], out: Path) -> Iterator[Block]:
         yield from made
 
 
-def fairness(tasks: Sequence[Task]) -> Iterator[Block]:
-    """What was equal, and what was not."""
-    yield Heading("Was it fair?")
-    yield Text(
-        "All representations get the same sets of vehicles with the same features, the same "
-        "algorithm and settings but for what was tuned, the same seeds of environments and "
-        "networks, the same budget of tuning on seeds that the study does not use."
-    )
-    lines = []
-    for task in tasks:
-        for repr in task.reprs:
-            runs = task.runs(repr)
-            first, chosen = runs[0], runs[0].cell.candidate
-            encoder, policy = first.parameters
-            minutes = sum(run.seconds for run in runs) / len(runs) / 60
-            lines.append(
-                [
-                    f"{task.name}: {repr}", f"{encoder:,}", f"{policy:,}", str(first.vehicles),
-                    "all" if first.slots is None else str(first.slots),
-                    f"{chosen.learning_rate:g}", f"{chosen.scale:g}", f"{minutes:.1f}",
-                ]
-            )  # fmt: skip
-    header = [
-        "", "parameters of the encoder", "of the policy", "N", "Z", "learning rate x", "code x",
-        "minutes a run",
-    ]  # fmt: skip
-    yield Rows([header, *lines])
-    notes = [note for task in tasks for note in differences(task)]
-    yield Text("\n".join(notes), bullets=True) if notes else Text("Nothing else differs.")
-
-
-def differences(task: Task) -> Iterator[str]:
-    """What is not equal between the representations of a scenario."""
-    firsts = {repr: task.runs(repr)[0] for repr in task.reprs}
-    sizes = {repr: result.parameters[0] for repr, result in firsts.items()}
-    if OURS in sizes:
-        for repr, size in sizes.items():
-            if abs(size - sizes[OURS]) > 0.05 * sizes[OURS]:
-                yield f"{task.name}: {repr} has {size / sizes[OURS]:.0%} of ESC's parameters."
-    for repr, result in firsts.items():
-        if result.slots is not None and result.slots < result.vehicles:
-            which = "nearest" if repr == "fp" else "first in a random order"
-            yield (
-                f"{task.name}: {repr} sees at most the Z={result.slots} vehicles {which}, the "
-                f"others up to N={result.vehicles}."
-            )
-    if len(counts := {len(task.runs(repr)) for repr in task.reprs}) > 1:
-        yield f"{task.name}: different numbers of runs, {min(counts)} to {max(counts)}."
-    reference = _comparable(firsts[task.reprs[0]].config, task.settings["algo"])
-    for result in task.results:
-        if not result.cell.traffic:
-            config = _comparable(result.config, task.settings["algo"])
-            if other := [key for key in reference if config[key] != reference[key]]:
-                name = f"{result.cell.repr}, seed {result.cell.seed}"
-                yield f"{task.name}: {name} differs in {', '.join(other)}."
-
-
-def _comparable(config: dict[str, Any], algo: str) -> dict[str, Any]:
-    """A training configuration without what belongs to one run or was tuned."""
-    own = ("repr", "seed", "run_dir")
-    kept = {key: value for key, value in config.items() if key not in own}
-    kept[algo] = {k: v for k, v in kept[algo].items() if k != "learning_rate"}
-    kept["encoder"] = {k: v for k, v in kept["encoder"].items() if k != "arguments"}
-    return kept
-
-
-def tuning(tasks: Sequence[Task]) -> Iterator[Block]:
-    """What every representation was offered, and what it took."""
-    if not any(task.tuned for task in tasks):
-        return
-    yield Heading("Tuning")
-    yield Text(
-        f"Mean return at the end of shorter runs with seeds from {TUNING_SEED} on, on episodes "
-        "that the study does not use. The best, in bold, was taken, of equal ones the first."
-    )
-    for task in tasks:
-        tried = candidates(TuningConfig(**task.settings["tuning"])) if task.tuned else []
-        lines = []
-        for repr in task.reprs:
-            scores = [
-                [x for t in task.tuned if (t.cell.repr, t.cell.candidate) == (repr, c)
-                 for x in t.returns]
-                for c in tried
-            ]  # fmt: skip
-            means = [sum(values) / len(values) if values else None for values in scores]
-            best = max((m for m in means if m is not None), default=None)
-            cells = [
-                "" if m is None else f"**{m:.2f}**" if m == best else f"{m:.2f}" for m in means
-            ]
-            lines.append([repr, *cells])
-        if tried:
-            yield Text(f"**{task.name}**")
-            yield Rows([["", *map(str, tried)], *lines])
-
-
 def provenance(tasks: Sequence[Task], out: Path) -> Iterator[Block]:
     """What the numbers were made with."""
     yield Heading("How this was made")
@@ -381,13 +278,3 @@ def as_csv(lines: Iterable[dict[str, Any]]) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
-
-
-def _terminal(task: Task) -> rich.table.Table:
-    header, *body = table(task)
-    shown = rich.table.Table(title=task.name, title_justify="left", header_style="bold")
-    for index, name in enumerate(header):
-        shown.add_column(name, justify="right" if index else "left", no_wrap=True)
-    for line in body:
-        shown.add_row(*(cell.replace("**", "").replace("[", "\\[") for cell in line))
-    return shown

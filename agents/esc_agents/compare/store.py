@@ -19,7 +19,7 @@ from typing import Any
 import yaml
 
 from esc_agents import records
-from esc_agents.compare.grid import Candidate, Cell, CompareConfig
+from esc_agents.compare.grid import Candidate, Cell, CompareConfig, task_name
 from esc_agents.errors import UserError
 from esc_agents.evaluate import Episode, Summary, as_rows, summaries
 from esc_agents.records import Damaged
@@ -156,7 +156,7 @@ def baselines(folder: Path) -> Baselines | None:
 
 def begin_task(out: Path, config: CompareConfig, env: str) -> None:
     """Note what all runs of a scenario share. Raises UserError where it is not what it was."""
-    folder = out / f"{env}-{config.algo}"
+    folder = out / task_name(env, config.algo)
     path = folder / "task.yaml"
     asked = {"env": env, "algo": config.algo, **config.fixed()}
     asked["transfer"] = config.transfer.get(env, {})

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, StrMethodFormatter
 
+from esc_agents import plots
 from esc_agents.paper.results import Result
 from esc_agents.paper.samples import Samples
 from esc_agents.paper.table import (
@@ -22,15 +23,12 @@ from esc_agents.paper.table import (
 )
 from esc_agents.paper.targets import MAX_VEHICLES, TARGETS, VEHICLE_DIM
 from esc_agents.paper.training import TEST_SIZES, overtaking
-from esc_agents.statistics import mean_interval
 from esc_gym.theory import required_code_dim
 
-# Okabe and Ito's colours, which colour-blind people tell apart.
 COLORS: dict[Column, str] = {
-    ("esc", "any"): "#56b4e9", ("esc", "fixed"): "#0072b2", ("fp", "fixed"): "#e69f00",
-    ("ap", "fixed"): "#d55e00", ("mean", "fixed"): "#009e73", ("max", "fixed"): "#cc79a7",
-    ("attention", "fixed"): "#999933",
-}  # fmt: skip
+    ("esc", "any"): "#56b4e9",
+    **{(name, "fixed"): color for name, color in plots.COLORS.items()},
+}
 SIZES_COLORS = dict(zip(TEST_SIZES, ("#a6cee3", "#56b4e9", "#0072b2", "#003a5d"), strict=True))
 
 
@@ -46,7 +44,8 @@ def curves(results: Sequence[Result], benchmark: int) -> Figure:
             if not runs:
                 continue
             updates = [point.update for point in runs[0].points]
-            _band(axes, updates, [[p.errors[size] for p in r.points] for r in runs], column)
+            errors = [[p.errors[size] for p in r.points] for r in runs]
+            plots.band(axes, updates, errors, _color(column), title_of(column))
             if theirs := published().get((benchmark, size, *column)):
                 axes.plot(
                     updates[-1], theirs.mean, "D", markersize=5, markerfacecolor="none",
@@ -55,18 +54,11 @@ def curves(results: Sequence[Result], benchmark: int) -> Figure:
         axes.set_title(f"M = {size}", fontsize=10)
         axes.set_xlabel("updates")
         _log_scale(axes)
-        _tidy(axes)
+        plots.tidy(axes)
     panels[0].set_ylabel("mean squared error")
     figure.suptitle(f"Benchmark {benchmark}   (diamonds: the paper's final errors)", fontsize=11)
-    _legend(figure, panels)
+    plots.legend(figure, panels)
     return figure
-
-
-def _band(axes: Axes, x: Sequence[float], runs: Sequence[Sequence[float]], column: Column) -> None:
-    mean, low, high = np.array([mean_interval(values) for values in zip(*runs, strict=True)]).T
-    axes.plot(x, mean, color=_color(column), label=title_of(column), linewidth=1.5)
-    if len(runs) > 1:
-        axes.fill_between(x, low, high, color=_color(column), alpha=0.2, linewidth=0)
 
 
 def bars(table: Table) -> Figure:
@@ -96,12 +88,12 @@ def bars(table: Table) -> Figure:
                 axes.plot(*zip(*theirs, strict=True), "kD", markersize=3.5, markerfacecolor="w")
         axes.set_title(f"Benchmark {benchmark}", fontsize=10)
         axes.set_xticks(range(len(sizes)), [f"M = {size}" for size in sizes])
-        _tidy(axes)
+        plots.tidy(axes)
     for axes in panels[len(benchmarks) :]:
         axes.set_visible(False)
     for axes in panels[::across]:
         axes.set_ylabel("mean squared error")
-    _legend(figure, panels[: len(benchmarks)])
+    plots.legend(figure, panels[: len(benchmarks)])
     return figure
 
 
@@ -197,13 +189,13 @@ def _columns(results: Iterable[Result]) -> list[Column]:
 
 
 def _color(column: Column) -> str:
-    return COLORS.get(column, "0.4")
+    return COLORS.get(column, plots.GREY)
 
 
 def _panel() -> tuple[Figure, Axes]:
     figure = Figure(figsize=(6.5, 4), layout="constrained")
     axes = figure.subplots()
-    _tidy(axes)
+    plots.tidy(axes)
     return figure, axes
 
 
@@ -212,18 +204,3 @@ def _log_scale(axes: Axes) -> None:
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1, 0.5)))
-
-
-def _tidy(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def _legend(figure: Figure, panels: Iterable[Axes]) -> None:
-    """One for all panels, below them."""
-    lines = {}
-    for axes in panels:
-        for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            lines.setdefault(label, line)
-    figure.legend(
-        lines.values(), lines, loc="outside lower center", ncols=len(lines), frameon=False
-    )

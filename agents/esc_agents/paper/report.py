@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from rich import table as rich
 
 from esc_agents.document import Block, Heading, Rows, Text, picture, write
 from esc_agents.errors import UserError
@@ -27,7 +26,7 @@ from esc_agents.paper.table import (
 from esc_agents.paper.targets import MAX_VEHICLES
 from esc_agents.paper.training import CODE_DIM, overtaking
 from esc_agents.records import Damaged
-from esc_agents.report import show
+from esc_agents.report import show, terminal
 from esc_agents.run import write_text
 from esc_agents.train import say
 
@@ -42,7 +41,7 @@ those of FP and AP at M = 20 in benchmarks 1 and 6 would be worse than predictin
 mean squared errors are compared above; these are the roots of both:"""
 
 
-_BOLD, _DEVIATION = re.compile(r"\*\*(.*)\*\*"), re.compile(r"±[^*]*")
+_DEVIATION = re.compile(r"±[^*]*")
 
 
 def load(folder: Path) -> list[Result]:
@@ -65,7 +64,8 @@ def report(out: Path) -> None:
     blocks = [*summary(results, table), *studies(results), *provenance(results)]
     for content in (list(rows(table, published())), savings(table)):
         if len(content) > 1:
-            show(_terminal(content))
+            # Without the deviations, for which there is no room.
+            show(terminal([[_DEVIATION.sub("", cell) for cell in row] for row in content]))
     written = write(out, "report", TITLE, blocks)
     write_text(out / "table.csv", as_csv(results))
     say(f"Written into {out}: {', '.join(path.name for path in written)}, table.csv")
@@ -172,13 +172,3 @@ def provenance(results: Sequence[Result]) -> Iterator[Block]:
     )
     made_with = {", ".join(f"{k} {v}" for k, v in r.made_with.items()) for r in results}
     yield Text("\n".join(sorted(made_with)), bullets=True)
-
-
-def _terminal(content: Sequence[Sequence[str]]) -> rich.Table:
-    """Without the deviations, for which there is no room."""
-    table = rich.Table(header_style="bold")
-    for index, name in enumerate(content[0]):
-        table.add_column(name, justify="right" if index else "left")
-    for row in content[1:]:
-        table.add_row(*(_BOLD.sub(r"[bold]\1[/]", _DEVIATION.sub("", cell)) for cell in row))
-    return table

@@ -1,6 +1,7 @@
 """esc-compare as the shell calls it: configurations, and what a user can get wrong."""
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -27,22 +28,14 @@ train:
 
 
 @pytest.fixture
-def call(tmp_path, monkeypatch, capsys):
-    """(code, out, err) of the console script, in a folder with tiny.yaml."""
-    monkeypatch.chdir(tmp_path)
+def compare(call):
+    """(code, out, err) of esc-compare, in a folder with tiny.yaml."""
     Path("tiny.yaml").write_text(TINY)
-
-    def call(*args):
-        monkeypatch.setattr(sys, "argv", [cli.PROGRAM, *map(str, args)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        return end.value.code, *capsys.readouterr()
-
-    return call
+    return partial(call, cli)
 
 
-def test_from_nothing_to_a_report(call):
-    code, out, err = call("--config", "tiny.yaml", "--out", "found", "--workers", "1")
+def test_from_nothing_to_a_report(compare):
+    code, out, err = compare("--config", "tiny.yaml", "--out", "found", "--workers", "1")
     assert (code, err) == (0, "")
     assert "[1/2] highway-fast-v0-ppo/esc-s0: done" in out
     assert "IDM/MOBIL" in out
@@ -53,16 +46,15 @@ def test_from_nothing_to_a_report(call):
     assert "`esc-compare --config tiny.yaml --out found" in Path("found/report.md").read_text()
 
 
-def test_a_dry_run_trains_nothing(call):
-    code, out, err = call("--config", "tiny.yaml", "--dry-run", "--seeds", "3")
+def test_a_dry_run_trains_nothing(compare):
+    code, out, err = compare("--config", "tiny.yaml", "--dry-run", "--seeds", "3")
     assert (code, err) == (0, "")
     assert "training steps/s" in out
     assert "Memory" in out
     (row,) = [line for line in out.splitlines() if " fp " in line]
     # N, Z, tuning runs, runs, finished, steps
     assert [cell.strip() for cell in row.split("│")[1:-1]] == [
-        ENV,
-        "fp",
+        f"{ENV} fp",
         "6",
         "6",
         "0",
@@ -89,19 +81,19 @@ def test_a_dry_run_trains_nothing(call):
         (["--out", "tiny.yaml"], "--out tiny.yaml: File exists"),
     ],
 )  # fmt: skip
-def test_mistakes_are_one_line_and_exit_code_2(call, args, message):
+def test_mistakes_are_one_line_and_exit_code_2(compare, args, message):
     if "--config" not in args:
         args = ["--config", "tiny.yaml", *args]
-    code, _, err = call(*args)
+    code, _, err = compare(*args)
     assert code == 2
     assert err.startswith("esc-compare: ")
     assert message in err
     assert err.count("\n") == 1
 
 
-def test_ray_without_ray(call, monkeypatch):
+def test_ray_without_ray(compare, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    code, _, err = call("--config", "tiny.yaml", "--engine", "ray")
+    code, _, err = compare("--config", "tiny.yaml", "--engine", "ray")
     assert (code, err) == (
         2,
         "esc-compare: --engine ray: Ray is not installed; install it with: pip install "

@@ -14,11 +14,11 @@ from esc_agents.compare.measure import (
     baselines,
     drive,
     encoder_of,
+    examine,
     shuffled,
 )
 from esc_agents.envs import make_env
-from esc_agents.evaluate import blind_policies, evaluate
-from esc_agents.floors import floors
+from esc_agents.evaluate import Summary, evaluate
 from esc_agents.policies import load_policy
 from esc_agents.train import train
 from esc_gym.encoders import FPEncoder
@@ -169,12 +169,12 @@ def policies(tmp_path_factory, sac_run):
 def test_a_drive_is_the_evaluation(policies):
     config, folder = policies["esc"]
     policy = load_policy(folder)[0]
-    episodes, order, churn = drive(config, policy, range(5))
+    episodes, order, churn = examine(config, policy, range(5))
     assert [e.seed for e in episodes] == list(range(5))
     assert order.decisions == sum(e.length for e in episodes)
     assert order.features < 1e-5
     assert churn is None
-    assert drive(config, policy, range(5))[0] == episodes
+    assert drive(config, policy, range(5)) == episodes
 
 
 @pytest.mark.parametrize("repr", ["esc", "fp"])
@@ -183,29 +183,32 @@ def test_a_policy_drives_among_more_vehicles_than_it_was_trained_with(policies, 
     policy = load_policy(folder)[0]
     more = config.model_copy(update={"env_config": {**ROAD, "vehicles_count": 12}})
     assert make_env(more).observation_space["vehicles"].shape[0] == 12  # type: ignore[index]
-    episodes, order, churn = drive(more, policy, range(3))
+    episodes, order, churn = examine(more, policy, range(3))
     assert len(episodes) == 3
     assert order.features < 1e-5
     assert (churn is None) == (repr == "esc")
-    again, _, _ = drive(config, policy, range(3))  # and again among fewer
-    assert again == drive(config, load_policy(folder)[0], range(3))[0]
+    again = drive(config, policy, range(3))  # and again among fewer
+    assert again == drive(config, load_policy(folder)[0], range(3))
 
 
 def test_continuous_policies_are_measured_too(policies):
     config, folder = policies["sac"]
     policy = load_policy(folder)[0]
     assert encoder_of(policy) is policy.actor.features_extractor.encoder
-    episodes, order, _ = drive(config, policy, range(2))
+    episodes, order, _ = examine(config, policy, range(2))
     assert len(episodes) == 2
     assert order.changed == pytest.approx(0, abs=1e-6)  # nobody else is on that road
 
 
 def test_baselines_are_the_floors_and_the_rule_driver():
     config = tiny()
-    seeds = range(config.evaluation.seed, config.evaluation.seed + 4)
-    found = baselines(config, make_env(config), seeds)
-    assert found.blind == floors(config, 4)
+    seeds = range(700, 704)
+    found = baselines(config, 700, 4)
+    slower = DummyVecEnv([lambda: make_env(config, evaluation=True)])
+    assert found.blind["always SLOWER"] == Summary.of(
+        evaluate(slower, lambda observations: np.array([4]), seeds)
+    )
     envs = DummyVecEnv([lambda: make_env(config, evaluation=True, rule_driver=True)])
-    idle = blind_policies(envs.action_space, 1, {1: "IDLE"}, 0)["always IDLE"]
-    rewards = [episode.reward for episode in evaluate(envs, idle, seeds)]
+    anything = evaluate(envs, lambda observations: np.array([0]), seeds)
+    rewards = [episode.reward for episode in anything]
     assert found.rule.reward == pytest.approx(np.mean(rewards))

@@ -14,9 +14,10 @@ import pytest
 from PIL import Image, ImageSequence
 
 from esc_agents.compare import store
+from esc_agents.compare.fairness import differences
 from esc_agents.compare.films import together
 from esc_agents.compare.grid import Candidate, Cell
-from esc_agents.compare.report import differences, load, write_report
+from esc_agents.compare.report import load, write_report
 from esc_agents.compare.store import Tuned
 from esc_agents.errors import UserError
 from tests.esc_agents.compare.small import ENV, baselines, result, small
