@@ -223,7 +223,7 @@ def load(name: str | Path, kind: str, model: type[M]) -> M:
     if not path.is_file():
         known = shipped(kind)
         if str(name) not in known:
-            what = "scenario" if kind == "train" else kind
+            what = {"train": "scenario", "compare": "comparison"}[kind]
             raise UserError(
                 f"config: no file {str(name)!r} and no such {what}{_nearest(str(name), known)}"
             )

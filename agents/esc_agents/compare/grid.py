@@ -57,6 +57,7 @@ class CompareConfig(Model):
     repr: Annotated[tuple[str, ...], Many, Field(min_length=1)] = ("esc", "fp", "ap", "attention")
     """Representations: esc, fp, ap, mean, max, attention, or module:Class."""
     algo: Literal["ppo", "sac"] = "ppo"
+    """sac drives with throttle and steering; ppo as the scenario says."""
     seeds: Annotated[int, Field(ge=1, lt=TUNING_SEED)] = 5
     """Runs of each representation in each scenario, with seeds 0, 1, 2, ..."""
     steps: PositiveInt = 200_000

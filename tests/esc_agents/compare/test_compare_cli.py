@@ -77,7 +77,7 @@ def test_a_dry_run_trains_nothing(compare):
         (["--engine", "ray", "--address", "127.0.0.1:1"], "127.0.0.1:1: Connection refused"),
         (["--train", "{ppo: {n_step: 5}}"], "train: unknown key 'ppo.n_step'; did you mean"),
         (["--transfer", "{exit: {a: {}}}"], "transfer: expected scenarios of the grid, got 'exit'"),
-        (["--config", "studi"], "config: no file 'studi' and no such compare; did you mean"),
+        (["--config", "studi"], "config: no file 'studi' and no such comparison; did you mean"),
         (["--out", "tiny.yaml"], "--out tiny.yaml: File exists"),
     ],
 )  # fmt: skip
