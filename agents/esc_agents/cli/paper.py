@@ -38,6 +38,9 @@ class RunArguments(_Arguments):
     """Vehicles in every set, 1 to 20, or any: uniform in 1..20."""
     repr: Annotated[tuple[str, ...], Many] = ("esc", "fp", "ap")
     """Representations; fp and ap have no case any."""
+    init: Literal["glorot", "torch"] = "glorot"
+    """How weights start, which the paper does not say: in Glorot's bounds and biases 0, as in its
+    first author's code; or as torch starts linear layers."""
     seeds: PositiveInt = 5
     """Trainings of each cell, with seeds 0, 1, 2, ..."""
     updates: PositiveInt = 3000
@@ -99,6 +102,8 @@ def _summary() -> str:
 
 
 def _run(arguments: RunArguments) -> int:
+    from dataclasses import replace
+
     import torch
 
     from esc_agents.paper.experiment import grid, run, study
@@ -131,6 +136,7 @@ def _run(arguments: RunArguments) -> int:
         cells = grid(chosen["benchmarks"], sizes, chosen["repr"], seeds)
     else:
         cells = study(arguments.study, chosen["benchmarks"], seeds)
+    cells = [replace(cell, init=chosen["init"]) for cell in cells]
     folder = chosen["out"] / "cells"
     run(cells, chosen["updates"], chosen["device"], chosen["workers"], folder)
     return 0

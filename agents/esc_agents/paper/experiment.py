@@ -19,7 +19,7 @@ from esc_agents.errors import UserError
 from esc_agents.paper import results
 from esc_agents.paper.results import Result
 from esc_agents.paper.targets import MAX_VEHICLES
-from esc_agents.paper.training import CODE_DIM, Cell, overtaking, train
+from esc_agents.paper.training import CODE_DIM, INIT, Cell, overtaking, train
 from esc_agents.records import Damaged
 from esc_agents.run import versions
 from esc_agents.train import say
@@ -160,6 +160,7 @@ def describe(result: Result) -> str:
     size = "1..20" if cell.size is None else cell.size
     options = f", d3={cell.code_dim}" if cell.code_dim != CODE_DIM else ""
     options += f", Z={cell.slots}" if cell.slots else ""
+    options += f", init {cell.init}" if cell.init != INIT else ""
     errors = ", ".join(f"{error:.4g} at M={m}" for m, error in last.items())
     return (
         f"benchmark {cell.benchmark}, M={size}, {cell.repr}{options}, seed {cell.seed}: "

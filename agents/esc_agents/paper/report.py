@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from esc_agents.paper.table import (
     title_of,
 )
 from esc_agents.paper.targets import MAX_VEHICLES
-from esc_agents.paper.training import CODE_DIM, overtaking
+from esc_agents.paper.training import CODE_DIM, INIT, Init, overtaking
 from esc_agents.records import Damaged
 from esc_agents.report import show, terminal
 from esc_agents.run import write_text
@@ -34,7 +35,11 @@ TITLE = "The paper's experiment, ours beside the paper's"
 NOTE = """\
 Mean squared errors on 2048 test sets after training, mean ± one standard deviation over seeds; \
 the best of a row, ours and the paper's apart, in bold. "Any M" was trained on sets of 1 to 20 \
-vehicles, the others on sets of the row's size."""
+vehicles, the others on sets of the row's size. Weights start uniform in Glorot's bounds, biases \
+at 0: the paper does not say how, and its first author's code of that time (DSAC, 2020) does so."""
+OTHER_INIT = """\
+Everything else is the same, but weights start as torch starts linear layers: uniform within one \
+over the root of the number of inputs, biases too."""
 WHY_MSE = """\
 The paper calls its numbers root mean squared errors. They are mean squared errors: as roots, \
 those of FP and AP at M = 20 in benchmarks 1 and 6 would be worse than predicting the mean. So \
@@ -60,8 +65,9 @@ def load(folder: Path) -> list[Result]:
 def report(out: Path) -> None:
     """Print the table of the cells in ``out``; write the report and its pictures there."""
     results = load(out / "cells")
-    table = entries(results)
-    blocks = [*summary(results, table), *studies(results), *provenance(results)]
+    ours = [r for r in results if r.cell.init == INIT]
+    table = entries(ours)
+    blocks = [*summary(ours, table), *studies(ours), *other_inits(results), *provenance(results)]
     for content in (list(rows(table, published())), savings(table)):
         if len(content) > 1:
             # Without the deviations, for which there is no room.
@@ -76,14 +82,12 @@ def summary(results: Sequence[Result], table: Table) -> Iterator[Block]:
     if not table:
         return
     yield Text(NOTE)
-    yield Rows(list(rows(table, published())))
+    yield from _beside_the_paper(table)
     if missing := len(published().keys() - table.keys()):
         yield Text(
             f"{missing} of the paper's {len(published())} entries are not there yet: `esc-paper "
             "run` trains what is missing."
         )
-    if len(saved := savings(table)) > 1:
-        yield Rows(saved)
     yield Text(WHY_MSE)
     yield Rows(list(rows(entries(results, 0.5), roots(published()))))
     yield Heading("Final errors")
@@ -94,6 +98,12 @@ def summary(results: Sequence[Result], table: Table) -> Iterator[Block]:
     for benchmark in sorted({key[0] for key in table}):
         alt = f"Benchmark {benchmark}: error over updates of {names}"
         yield picture(f"curves-{benchmark}", figures.curves(results, benchmark), alt)
+
+
+def _beside_the_paper(table: Table) -> Iterator[Block]:
+    yield Rows(list(rows(table, published())))
+    if len(saved := savings(table)) > 1:
+        yield Rows(saved)
 
 
 def studies(results: Sequence[Result]) -> Iterator[Block]:
@@ -157,6 +167,17 @@ def _code_dims(benchmark: int, found: Sequence[Result]) -> Iterator[Block]:
     yield Rows([["d3", "mean squared error over M = 5, 10, 15, 20"],
                 *([str(d), f"{error:.3g}"] for d, error in best.items())])  # fmt: skip
     yield picture(f"code-dim-{benchmark}", figures.code_dims(chosen), "Error of ESC over d3")
+
+
+def other_inits(results: Sequence[Result]) -> Iterator[Block]:
+    """The table once more, with weights that start in another way."""
+    for init in get_args(Init):
+        table = entries([r for r in results if r.cell.init == init])
+        if init == INIT or not table:
+            continue
+        yield Heading(f"With the initialisation of {init}")
+        yield Text(OTHER_INIT)
+        yield from _beside_the_paper(table)
 
 
 def provenance(results: Sequence[Result]) -> Iterator[Block]:

@@ -6,10 +6,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from esc_agents import records
-from esc_agents.paper.training import CODE_DIM, Cell, Point
+from esc_agents.paper.training import CODE_DIM, INIT, Cell, Point
 from esc_agents.records import Damaged
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,15 @@ class Result:
 
 
 def path_of(folder: Path, cell: Cell) -> Path:
-    """b<benchmark>-<M or any>-<representation>[-d<d3>][-z<Z>]-s<seed>.json"""
+    """b<benchmark>-<M or any>-<representation>[-d<d3>][-z<Z>][-<init>]-s<seed>.json"""
     parts = [f"b{cell.benchmark}", "any" if cell.size is None else str(cell.size)]
     parts.append(cell.repr.replace(":", "."))
     if cell.code_dim != CODE_DIM:
         parts.append(f"d{cell.code_dim}")
     if cell.slots is not None:
         parts.append(f"z{cell.slots}")
+    if cell.init != INIT:
+        parts.append(cell.init)
     return folder / f"{'-'.join(parts)}-s{cell.seed}.json"
 
 

@@ -8,11 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import get_args
 
 import numpy as np
 
 from esc_agents.paper.results import Result
-from esc_agents.paper.training import CODE_DIM, Cell
+from esc_agents.paper.training import CODE_DIM, Cell, Init
 
 Column = tuple[str, str]
 """(representation, "fixed" or "any" M in training)."""
@@ -21,8 +22,8 @@ Key = tuple[int, int, str, str]
 Table = Mapping[Key, "Entry"]
 
 CSV_COLUMNS = (
-    "benchmark", "vehicles", "repr", "trained", "mse", "mse_std", "rmse", "rmse_std", "seeds",
-    "paper_mse", "paper_std",
+    "init", "benchmark", "vehicles", "repr", "trained", "mse", "mse_std", "rmse", "rmse_std",
+    "seeds", "paper_mse", "paper_std",
 )  # fmt: skip
 
 
@@ -63,7 +64,7 @@ def title_of(column: Column) -> str:
 
 
 def of_the_table(results: Sequence[Result]) -> list[Result]:
-    """Those cells that are no study of their own."""
+    """Those cells that are in no study of d3, Z or two vehicles that change places."""
     return [
         r for r in results
         if (r.cell.code_dim, r.cell.slots, r.overtaking) == (CODE_DIM, None, None)
@@ -147,9 +148,12 @@ def as_csv(results: Sequence[Result]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
-    table, rooted = entries(results), entries(results, 0.5)
-    for key in sorted(table):
-        ours, root, theirs = table[key], rooted[key], published().get(key)
-        paper = (theirs.mean, theirs.std) if theirs else ("", "")
-        writer.writerow([*key, ours.mean, ours.std, root.mean, root.std, ours.seeds, *paper])
+    for init in get_args(Init):
+        made = [r for r in results if r.cell.init == init]
+        table, rooted = entries(made), entries(made, 0.5)
+        for key in sorted(table):
+            ours, root, theirs = table[key], rooted[key], published().get(key)
+            numbers = [ours.mean, ours.std, root.mean, root.std, ours.seeds]
+            paper = (theirs.mean, theirs.std) if theirs else ("", "")
+            writer.writerow([init, *key, *numbers, *paper])
     return text.getvalue()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
@@ -28,6 +28,8 @@ from esc_gym.encoders import APEncoder, FPEncoder, hidden_layers, representation
 
 HIDDEN = (256,) * 5
 CODE_DIM = 101
+Init = Literal["glorot", "torch"]
+INIT: Init = "glorot"
 BATCH, LEARNING_RATE, UPDATES = 512, 8e-5, 3000
 EVALUATE_EVERY = 100
 TEST_SIZES = (5, 10, 15, 20)
@@ -40,6 +42,9 @@ class Cell:
     size: M of all its sets, None where it is uniform in 1..20.
     code_dim: d3, the paper's unless it is studied.
     slots: Z, the number of vehicles that FP and AP take, all unless it is studied.
+    init: how weights start, which the paper does not say. "glorot": uniform in Glorot's bounds and
+        biases 0, as in its first author's code of that time (DSAC, 2020). "torch": as torch starts
+        linear layers, with weights smaller by a factor of sqrt(3) where a layer is square.
     """
 
     benchmark: int
@@ -48,6 +53,7 @@ class Cell:
     seed: int
     code_dim: int = CODE_DIM
     slots: int | None = None
+    init: Init = INIT
 
     @property
     def test_sizes(self) -> tuple[int, ...]:
@@ -79,6 +85,11 @@ class Policy(nn.Module):
             )  # fmt: skip
         self.layers = hidden_layers(cell.code_dim + EGO_DIM, HIDDEN)
         self.output = nn.Linear(HIDDEN[-1], 1)
+        if cell.init == "glorot":
+            for layer in self.modules():
+                if isinstance(layer, nn.Linear):
+                    nn.init.xavier_uniform_(layer.weight)
+                    nn.init.zeros_(layer.bias)
 
     def forward(self, sets: Sets) -> Tensor:
         """A number for each set [B]."""

@@ -54,7 +54,7 @@ def test_files(cells, capsys):
     assert (
         "95 of the paper's 96 entries are not there yet" in (cells.parent / "report.md").read_text()
     )
-    assert "2,10,ap,fixed,51.0" in (cells.parent / "table.csv").read_text()
+    assert "glorot,2,10,ap,fixed,51.0" in (cells.parent / "table.csv").read_text()
 
 
 class Page(HTMLParser):
@@ -97,6 +97,20 @@ def test_one_page_with_everything(cells, capsys):
     printed = capsys.readouterr().out
     assert "5.5" in printed
     assert "±" not in printed
+
+
+def test_another_initialisation_has_a_table_of_its_own(cells):
+    write(cells, result(1, 5, "esc", 0, 3.0))
+    write(cells, result(1, 5, "esc", 0, 4.0, init="torch"))
+    report(cells.parent)
+    ours, other = (cells.parent / "report.md").read_text().split("With the initialisation of torch")
+    assert "| 1 | 5 | **3** |" in ours
+    assert "| 1 | 5 | **4** |" in other
+    lines = (cells.parent / "table.csv").read_text().splitlines()
+    assert [line[:24] for line in lines[1:]] == [
+        "glorot,1,5,esc,fixed,3.0",
+        "torch,1,5,esc,fixed,4.0,",
+    ]
 
 
 def test_studies_alone(cells):

@@ -59,9 +59,9 @@ def test_renamed(tmp_path):
 
 
 def test_another_version(tmp_path, monkeypatch):
-    monkeypatch.setattr("esc_agents.paper.results.SCHEMA", 2)
+    monkeypatch.setattr("esc_agents.paper.results.SCHEMA", 99)
     write(tmp_path, RESULT)
     monkeypatch.undo()
     with pytest.raises(Damaged, match="another version"):
         read(tmp_path, CELL)
-    assert json.loads(path_of(tmp_path, CELL).read_text())["schema"] == 2
+    assert json.loads(path_of(tmp_path, CELL).read_text())["schema"] == 99

@@ -85,6 +85,19 @@ def test_padding_is_not_seen():
     assert torch.equal(policy(sets), policy(filled))
 
 
+@pytest.mark.parametrize("init", ["glorot", "torch"])
+def test_how_weights_start(init):
+    """Uniform, whose deviation is its bound over the root of 3."""
+    policy = Policy(Cell(1, 20, "esc", 0, init=init))
+    for layer in (layer for layer in policy.modules() if isinstance(layer, nn.Linear)):
+        outputs, inputs = layer.weight.shape
+        bound = (6 / (inputs + outputs)) ** 0.5 if init == "glorot" else inputs**-0.5
+        assert layer.weight.abs().max() <= bound
+        if layer.weight.numel() > 10_000:
+            assert layer.weight.std().item() == pytest.approx(bound / 3**0.5, rel=0.02)
+        assert layer.bias.any() == (init == "torch")
+
+
 def test_no_warnings_at_the_papers_code_dimension():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
