@@ -7,6 +7,7 @@ is the same on every device: a sample is drawn when it is needed, wherever it is
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import torch
@@ -44,7 +45,7 @@ class Samples:
         mask = torch.arange(rows, device=index.device) < sizes
         return Sets(vehicles * mask[..., None], mask, ego)
 
-    def batch(self, update: int, size: int, device: torch.device | str = "cpu") -> Tensor:
+    def batch(self, update: int | Tensor, size: int, device: torch.device | str = "cpu") -> Tensor:
         """Numbers of the samples of one mini-batch, drawn with replacement: int64 [(S,) size]."""
         places = torch.arange(size, device=device) + update * size
         key = self._key(places, "batch", self.split)
@@ -64,8 +65,7 @@ class Samples:
         """A seed's key, or those of several seeds [S, 1, ...], to add to ``like`` for each."""
         if isinstance(self.seed, int):
             return _key(self.seed, *parts)
-        keys = torch.tensor([_key(seed, *parts) for seed in self.seed], device=like.device)
-        return keys.view(-1, *[1] * like.dim())
+        return _keys(self.seed, parts, like.device).view(-1, *[1] * like.dim())
 
     def _uniform(self, index: Tensor, place: int, count: int) -> Tensor:
         # 24 bits: as many as a float32 holds exactly.
@@ -80,6 +80,11 @@ def _key(*parts: int | str) -> int:
         for byte in str(part).encode() + b"\0":
             key = _mix((key ^ byte) * 0x9E3779B97F4A7C15 & _MASK)
     return _signed(key)
+
+
+@cache  # copied to a device only once: within a CUDA graph nothing can be
+def _keys(seeds: tuple[int, ...], parts: tuple[str, ...], device: torch.device) -> Tensor:
+    return torch.tensor([_key(seed, *parts) for seed in seeds], device=device)
 
 
 _MASK = (1 << 64) - 1

@@ -31,6 +31,7 @@ CODE_DIM = 101
 Init = Literal["glorot", "torch"]
 INIT: Init = "glorot"
 BATCH, LEARNING_RATE, UPDATES = 512, 8e-5, 3000
+WARM_UP = 3  # calls before a CUDA graph is captured, as torch advises
 EVALUATE_EVERY = 100
 TEST_SIZES = (5, 10, 15, 20)
 
@@ -137,30 +138,56 @@ def train(
 def updater(
     policies: Sequence[Policy], cells: Sequence[Cell], device: str
 ) -> Callable[[int], None]:
-    """Makes the update of a number, 1 or more: a step of Adam for each policy, on 512 sets."""
-    first = cells[0]
-    if len(cells) > 1 and first.size is not None:
+    """Makes the update of a number, 1 or more: a step of Adam for each policy, on 512 sets.
+
+    On a GPU it is launched as one graph, unless M varies and with it the shapes.
+    """
+    one_size, on_gpu = cells[0].size is not None, device.startswith("cuda")
+    if len(cells) > 1 and one_size:
         losses, parameters = _batched(policies, cells, device)
     else:
         losses, parameters = _one_by_one(policies, cells, device)
-    adam = torch.optim.Adam(parameters, lr=LEARNING_RATE, fused=True)
+    adam = torch.optim.Adam(parameters, lr=LEARNING_RATE, fused=True, capturable=on_gpu)
 
-    def learn(update: int) -> None:
+    def learn(update: int | Tensor) -> None:
         total = losses(update).sum()  # of which each policy's gradient is that of its own loss
         adam.zero_grad()
         total.backward()
         adam.step()
 
-    return learn
+    return _captured(learn, device) if on_gpu and one_size else learn
+
+
+def _captured(learn: Callable[[Tensor], None], device: str) -> Callable[[int], None]:
+    """The same as one launch, of a CUDA graph that is captured after the first calls."""
+    number = torch.zeros((), dtype=torch.int64, device=device)
+    graph, beside, calls = torch.cuda.CUDAGraph(), torch.cuda.Stream(device), 0
+
+    def launch(update: int) -> None:
+        nonlocal calls
+        calls += 1
+        number.fill_(update)
+        if calls <= WARM_UP:  # on another stream, so that the graph finds nothing half done
+            beside.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(beside):
+                learn(number)
+            torch.cuda.current_stream().wait_stream(beside)
+            return
+        if calls == WARM_UP + 1:
+            with torch.cuda.graph(graph):
+                learn(number)  # recorded, not run
+        graph.replay()
+
+    return launch
 
 
 def _one_by_one(
     policies: Sequence[Policy], cells: Sequence[Cell], device: str
-) -> tuple[Callable[[int], Tensor], list[Tensor]]:
+) -> tuple[Callable[[int | Tensor], Tensor], list[Tensor]]:
     """(losses [S] of an update, what to train)."""
     each = [Samples("train", cell.seed, cell.size) for cell in cells]
 
-    def losses(update: int) -> Tensor:
+    def losses(update: int | Tensor) -> Tensor:
         batches = [samples.draw(samples.batch(update, BATCH, device)) for samples in each]
         found = [loss(p, cells[0], sets) for p, sets in zip(policies, batches, strict=True)]
         return torch.stack(found)
@@ -170,7 +197,7 @@ def _one_by_one(
 
 def _batched(
     policies: Sequence[Policy], cells: Sequence[Cell], device: str
-) -> tuple[Callable[[int], Tensor], list[Tensor]]:
+) -> tuple[Callable[[int | Tensor], Tensor], list[Tensor]]:
     """(losses [S] of an update, what to train), with one product for the layer of all policies.
 
     The policies' own parameters become views of what is trained.
@@ -189,7 +216,7 @@ def _batched(
         sets = Sets(vehicles, None, ego)
         return loss(lambda sets: functional_call(policy, parameters, (sets,)), cells[0], sets)
 
-    def losses(update: int) -> Tensor:
+    def losses(update: int | Tensor) -> Tensor:
         sets = samples.draw(samples.batch(update, BATCH, device))
         return vmap(one)(stacked, sets.vehicles, sets.ego)
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import nn
 
+from esc_agents.paper import training
 from esc_agents.paper.samples import COUNTS, Samples
 from esc_agents.paper.targets import Sets
 from esc_agents.paper.training import Cell, Policy, train
@@ -51,6 +52,16 @@ def test_the_papers_networks(repr):
         code = first(x.gather(1, order[:, :, None].expand_as(x)).flatten(1))
     expected = second(torch.cat([code, sets.ego], dim=1)).squeeze(1)
     torch.testing.assert_close(policy(sets), expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.parametrize("repr", REPRESENTATIONS)
+def test_a_captured_graph_learns_as_without(repr, monkeypatch):
+    cells = [Cell(3, 5, repr, seed) for seed in (0, 4)]
+    captured = train(cells, 20, "cuda")
+    monkeypatch.setattr(training, "WARM_UP", 1000)
+    for (_, points), (_, expected) in zip(captured, train(cells, 20, "cuda"), strict=True):
+        assert points[-1].errors[5] == pytest.approx(expected[-1].errors[5], rel=1e-4)
 
 
 def renamed(state, module):
