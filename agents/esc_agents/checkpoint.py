@@ -145,11 +145,11 @@ def read(path: Path, trust: bool = False) -> bytes:
             f"the version that wrote it (esc-gym {_version(header)})"
         )
     if len(state) != size:
-        raise Damaged(f"{path} is cut off: expected {size:,} bytes, got {len(state):,}")
+        raise Damaged(f"{path} is cut off: expected {size!r} bytes, got {len(state)}")
     if sha256(state) != digest:
         raise Damaged(f"{path} is damaged: its contents do not match their checksum")
     ours = hmac.digest(_key(), state, "sha256").hex()
-    if not trust and not hmac.compare_digest(ours, str(mac)):
+    if not trust and not hmac.compare_digest(ours.encode(), str(mac).encode(errors="replace")):
         raise UserError(
             f"{path} was not written by you on this machine, and to load it can run code of "
             "whoever wrote it; add --trust if you trust them"

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import pickle
@@ -15,7 +16,7 @@ from types import SimpleNamespace
 
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import HealthCheck, example, given, settings, strategies as st
 
 from esc_agents import run
 from esc_agents.callbacks import FixedSeedEvaluation
@@ -122,8 +123,13 @@ def test_checkpoints(data, checkpointed):
     path.unlink()
 
 
+WHOLE = {"size": 0, "sha256": hashlib.sha256(b"").hexdigest()}  # but for its mac
+
+
 @many
 @given(payload=st.binary(max_size=50), header=st.dictionaries(st.text(max_size=8), values))
+@example(payload=b"", header={"size": None})
+@example(payload=b"", header=WHOLE | {"mac": "é\ud800"})
 def test_checkpoints_that_were_made_up(payload, header, checkpointed, tmp_path):
     """Also a pickle that would run code, under whatever header."""
 
