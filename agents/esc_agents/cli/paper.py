@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -102,8 +103,6 @@ def _summary() -> str:
 
 
 def _run(arguments: RunArguments) -> int:
-    from dataclasses import replace
-
     import torch
 
     from esc_agents.paper.experiment import grid, run, study
