@@ -68,7 +68,7 @@ def report(out: Path) -> None:
     ours = [r for r in results if r.cell.init == INIT]
     table, other = entries(ours), entries([r for r in results if r.cell.init != INIT])
     blocks = [*summary(ours, table), *studies(ours), *other_init(other), *provenance(results)]
-    for title, numbers in ((None, table), (OTHER, other)):
+    for title, numbers in (("", table), (OTHER, other)):
         for content in (list(rows(numbers, published())), savings(numbers)):
             if len(content) > 1:
                 # Without the deviations, for which there is no room.
