@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -39,13 +39,12 @@ def tidy(axes: Axes) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def legend(figure: Figure, panels: Iterable[Axes], of: type[Artist] = Artist) -> None:
-    """One for all panels, below them. of: the kind of marks that it names."""
-    found: dict[str, Artist] = {}
+def legend(figure: Figure, panels: Iterable[Axes]) -> None:
+    """One for all panels, below them."""
+    found: dict[str, Any] = {}
     for axes in panels:
         for mark, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            if isinstance(mark, of):
-                found.setdefault(label, mark)
+            found.setdefault(label, mark)
     figure.legend(
         list(found.values()), list(found), loc="outside lower center", ncols=len(found),
         frameon=False,

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from esc_agents import plots
 from esc_agents.compare.analysis import (
@@ -46,7 +45,7 @@ def bars(tasks: Sequence[Task]) -> Figure:
     for axes, task in zip(panels, tasks, strict=True):
         for place, repr in enumerate(task.reprs):
             mean = row(task, repr).mean
-            axes.bar(place, mean.value, 0.7, color=plots.color(repr), alpha=0.75, label=repr)
+            axes.bar(place, mean.value, 0.7, color=plots.color(repr), alpha=0.75)
             _interval(axes, place, mean)
             scores = task.scores(repr)
             axes.plot([place] * len(scores), scores, "o", markersize=3, color="0.15", alpha=0.6)
@@ -55,7 +54,7 @@ def bars(tasks: Sequence[Task]) -> Figure:
         axes.set_title(task.name, fontsize=10)
         plots.tidy(axes)
     panels[0].set_ylabel("return")
-    plots.legend(figure, panels, of=Line2D)
+    plots.legend(figure, panels)
     return figure
 
 

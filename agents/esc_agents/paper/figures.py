@@ -85,7 +85,10 @@ def bars(table: Table) -> Figure:
             theirs = [(at, published()[k].mean) for at, (_, k) in zip(x, keys, strict=True)
                       if k in published()]  # fmt: skip
             if theirs:
-                axes.plot(*zip(*theirs, strict=True), "kD", markersize=3.5, markerfacecolor="w")
+                axes.plot(
+                    *zip(*theirs, strict=True), "kD", markersize=3.5, markerfacecolor="w",
+                    label="the paper's",
+                )  # fmt: skip
         axes.set_title(f"Benchmark {benchmark}", fontsize=10)
         axes.set_xticks(range(len(sizes)), [f"M = {size}" for size in sizes])
         plots.tidy(axes)

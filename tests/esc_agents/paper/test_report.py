@@ -133,12 +133,15 @@ def test_bands_are_intervals_over_seeds():
 
 def test_bars_stand_beside_the_papers():
     table = entries([result(1, 5, repr, 0, error) for repr, error in (("esc", 1.0), ("fp", 4.0))])
-    axes = figures.bars(table).axes[0]
+    figure = figures.bars(table)
+    axes = figure.axes[0]
     assert [bar.get_height() for bar in axes.patches] == [1.0, 4.0]
     diamonds = [line.get_xydata().tolist() for line in axes.lines]
     middles = [bar.get_x() + bar.get_width() / 2 for bar in axes.patches]
     expected = [[middles[0], 3.77]], [[middles[1], 7.42]]
     np.testing.assert_allclose(diamonds, expected)
+    named = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert named == {"ESC", "FP", "the paper's"}
 
 
 def test_nothing_to_report(tmp_path):
