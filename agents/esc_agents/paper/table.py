@@ -140,9 +140,9 @@ def savings(table: Table) -> list[list[str]]:
             higher = [row for row, ratio in sorted(here.items()) if ratio >= 1]
             lower = f"{len(here) - len(higher)} of {len(here)}"
             where = "; ".join(
-                f"benchmark {row[0]}, M={row[1]}: {table[*row, *ours].mean:.3g} against "
-                f"{table[*row, *other].mean:.3g}"
-                for row in higher
+                f"benchmark {benchmark}, M={size}: {table[benchmark, size, *ours].mean:.3g} "
+                f"against {table[benchmark, size, *other].mean:.3g}"
+                for benchmark, size in higher
             )
             name = f"{title_of(ours)} against {title_of(other)}"
             saved = [1 - np.mean([side[row] for row in here]) for side in (here, paper)]
