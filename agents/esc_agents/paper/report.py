@@ -32,7 +32,8 @@ from esc_agents.train import say
 
 TITLE = "The paper's experiment, ours beside the paper's"
 NOTE = """\
-Mean squared errors on 2048 test sets after training, mean ± one standard deviation over seeds; \
+Mean squared errors on 2048 test sets after training, mean ± one standard deviation over seeds \
+(ours without ±: one seed); \
 the best of a row, ours and the paper's apart, in bold. "Any M" was trained on sets of 1 to 20 \
 vehicles, the others on sets of the row's size. Weights start uniform in Glorot's bounds, biases \
 at 0: the paper does not say how, and its first author's code of that time (DSAC, 2020) does so."""
