@@ -51,13 +51,15 @@ _DEVIATION = re.compile(r"±[^*]*")
 
 
 def load(folder: Path) -> list[Result]:
-    """All whole results in a directory; damaged files are named and left out."""
-    found = []
+    """All results in a directory. Raises UserError where there are none, or names the damaged."""
+    found, damaged = [], []
     for path in sorted(folder.glob("b*.json")):
         try:
             found.append(read_file(path))
-        except Damaged as damaged:
-            say(f"{damaged}; it is left out, and esc-paper run trains it again")
+        except Damaged as error:
+            damaged.append(str(error))
+    if damaged:
+        raise UserError(f"{'; '.join(damaged)}; esc-paper run trains it again, then report")
     if not found:
         raise UserError(f"expected results of esc-paper run in {folder}, found none")
     return found

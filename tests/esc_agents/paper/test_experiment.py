@@ -59,6 +59,8 @@ def test_finished_cells_are_kept_and_damaged_ones_trained_again(tmp_path, capsys
     kept, broken = path_of(tmp_path / "cells", cells[0]), path_of(tmp_path / "cells", cells[3])
     before = kept.stat().st_mtime_ns
     broken.write_bytes(broken.read_bytes()[:50])
+    with pytest.raises(UserError, match=f"{broken.name}: not a whole record.*trains it again"):
+        cli.command(["report", "--out", str(tmp_path)])
     assert cli.command(arguments) == 0
     printed = capsys.readouterr().out
     assert "4 cells, 3 of them finished" in printed
