@@ -54,6 +54,7 @@ def test_files(cells):
 
 
 def test_a_damaged_cell_is_named_and_never_averaged_in(cells):
+    write(cells, result(2, 10, "ap", 1, 51.0))
     report(cells.parent)
     before = (cells.parent / "report.md").read_text()
     broken = path_of(cells, Cell(2, 10, "ap", 0))
