@@ -83,7 +83,8 @@ def tuning(tasks: Sequence[Task]) -> Iterator[Block]:
     yield Heading("Tuning")
     yield Text(
         f"Mean return at the end of shorter runs with seeds from {TUNING_SEED} on, on episodes "
-        "that the study does not use. The best, in bold, was taken, of equal ones the first."
+        "that the study does not use. The best, in bold, was taken, of equal ones the first. "
+        "Beyond the values that were tried there may be better ones."
     )
     for task in tasks:
         tried = candidates(TuningConfig(**task.settings["tuning"])) if task.tuned else []

@@ -20,7 +20,10 @@ from esc_agents.statistics import Estimate
 
 
 def curves(tasks: Sequence[Task]) -> Figure:
-    """Return over training steps, a panel for each task; bands: 95 % over seeds."""
+    """Return over training steps, a panel for each task; bands: 95 % over seeds.
+
+    The baselines are not drawn: they drove other, and more, episodes.
+    """
     figure, panels = _panels(len(tasks), 4.2, 3.4)
     for axes, task in zip(panels, tasks, strict=True):
         for repr in task.reprs:
@@ -29,7 +32,6 @@ def curves(tasks: Sequence[Task]) -> Figure:
             steps = np.mean([run.curve["timesteps"][:count] for run in runs], axis=0)
             returns = [np.mean(run.curve["results"][:count], axis=1) for run in runs]
             plots.band(axes, list(steps), returns, plots.color(repr), repr)
-        _limits(axes, task)
         axes.set_title(task.name, fontsize=10)
         axes.set_xlabel("training steps")
         axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:,.0f}k")

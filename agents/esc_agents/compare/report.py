@@ -165,7 +165,7 @@ def learning(tasks: Sequence[Task]) -> Iterator[Block]:
     yield Heading("Learning")
     yield Text(
         "Return on fixed episodes during training, mean over runs; bands are 95 % intervals over "
-        "runs (Student's t). Other episodes than those above."
+        "runs (Student's t). Other and fewer episodes than those above: the levels do not compare."
     )
     alt = "Return over training steps of each representation, by scenario"
     yield picture("curves", figures.curves(tasks), alt)
@@ -176,10 +176,11 @@ def robustness(tasks: Sequence[Task]) -> Iterator[Block]:
     yield Heading("Does the order of the vehicles matter?")
     yield Text(
         "The same episodes with the vehicles of every observation in random order. `ap` is trained "
-        "that way; the others saw the simulator's order, and `fp` sorts by itself. Decisions: how "
-        "many come out differently if the vehicles of one observation change places (of continuous "
-        "actions: mean change, of a range from -1 to 1). Features: largest change in proportion to "
-        "the largest feature. A float has 24 bits, so 1e-6 is rounding."
+        "that way and never drives otherwise: its two returns are the same, what order does to it "
+        "is in its decisions. The others saw the simulator's order, and `fp` sorts by itself. "
+        "Decisions: how many come out differently if the vehicles of one observation change places "
+        "(of continuous actions: mean change, of a range from -1 to 1). Features: largest change "
+        "in proportion to the largest feature. A float has 24 bits, so 1e-6 is rounding."
     )
     header = ["", "return", "shuffled", "change", "decisions changed", "features changed"]
     lines = []
