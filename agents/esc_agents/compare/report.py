@@ -80,7 +80,8 @@ def verdicts(tasks: Sequence[Task]) -> Iterator[Block]:
         yield Text(
             "A win or a loss is a difference of mean returns whose 95 % interval (Welch's t, over "
             "runs) does not hold 0; of twenty comparisons without any difference one would still "
-            "be called so."
+            "be called so. A tie says that these runs show no difference, not that there is none: "
+            "with few runs the interval is wide."
         )
         yield Rows([["", "difference of returns", "probability of improvement", "ESC"], *(
             [f"{task.name}: ESC against {d.rival}", interval(d.difference, sign=True),
