@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -24,6 +25,32 @@ def test_the_generator_is_splitmix64():
     ]  # fmt: skip
     found = samples._scramble(torch.arange(1, 6), 1234567)
     assert found.tolist() == [number >> 32 for number in published]
+
+
+def test_a_sample_follows_from_whole_numbers_alone():
+    """Re-derived with Python's integers and fractions, rounded as IEEE 754 does."""
+    mask = (1 << 64) - 1
+
+    def mix(z: int) -> int:
+        z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & mask
+        z = (z ^ z >> 27) * 0x94D049BB133111EB & mask
+        return z ^ z >> 31
+
+    key = 0
+    for byte in b"11\0train\0":
+        key = mix((key ^ byte) * 0x9E3779B97F4A7C15 & mask)
+    for number in (0, 17, 999_999):
+        counters = range(number * 111, (number + 1) * 111)  # 20 x 5 + 10 numbers, and the size
+        bits = [mix((counter * 0x9E3779B97F4A7C15 + key) & mask) >> 32 for counter in counters]
+        values = [
+            np.float32(-5 + Fraction(float(np.float32(Fraction(10 * (word >> 8), 1 << 24)))))
+            for word in bits[:110]
+        ]
+        size = 1 + (20 * bits[110] >> 32)
+        drawn = Samples("train", 11, None).draw(torch.tensor([number]))
+        assert drawn.vehicles[0, :size].flatten().tolist() == values[: size * 5]
+        assert drawn.ego[0].tolist() == values[100:]
+        assert drawn.mask[0].tolist() == [True] * size + [False] * (20 - size)
 
 
 def test_values_are_uniform():
