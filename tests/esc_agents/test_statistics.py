@@ -85,11 +85,19 @@ def test_probability_of_improvement_counts_pairs():
 
 def test_difference_of_means_is_welchs():
     ours, theirs = [1.0, 2.0, 3.0, 5.0], [0.0, 0.5, 0.25]
-    v1, v2 = np.var(ours, ddof=1) / 4, np.var(theirs, ddof=1) / 3
-    freedom = (v1 + v2) ** 2 / (v1**2 / 3 + v2**2 / 2)
-    half = stats.t.ppf(0.975, freedom) * sqrt(v1 + v2)
+    interval = stats.ttest_ind(ours, theirs, equal_var=False).confidence_interval()
     estimate = difference_of_means(ours, theirs)
     assert estimate.value == 2.5
-    assert (estimate.low, estimate.high) == pytest.approx((2.5 - half, 2.5 + half))
+    assert (estimate.low, estimate.high) == pytest.approx((interval.low, interval.high))
     assert difference_of_means([1.0], [0.0, 2.0]) == Estimate(0.0, 0.0, 0.0)
     assert difference_of_means([2.0, 2.0], [1.0, 1.0]) == Estimate(1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("constant", [0.0, 0.38, -7.1])
+def test_difference_from_runs_that_are_all_alike_is_students(constant):
+    ours = [1.0, 2.0, 3.0, 5.0]
+    half = stats.t.ppf(0.975, 3) * stats.sem(ours)
+    estimate = difference_of_means(ours, [constant] * 5)
+    value = 2.75 - constant
+    assert estimate.value == pytest.approx(value)
+    assert (estimate.low, estimate.high) == pytest.approx((value - half, value + half))
