@@ -66,13 +66,15 @@ def improvement(tasks: Sequence[Task]) -> Figure:
     for task in tasks:
         lines += [(task.name, duel.rival, duel.better) for duel in duels(task)]
     if len(tasks) > 1:
-        lines += [("all", rival, better) for rival, better in overall_duels(tasks).items()]
+        for rival, better in overall_duels(tasks).items():
+            count = sum(rival in task.rivals for task in tasks)
+            lines.append((f"mean of {count}", rival, better))
     figure = Figure(figsize=(7, 0.28 * len(lines) + 1), layout="constrained")
     axes: Axes = figure.subplots()
     for place, (_, rival, better) in enumerate(lines):
         hue, ends = plots.color(rival), [better.low, better.high]
         axes.plot(ends, [place, place], color=hue, linewidth=5, alpha=0.35)
-        axes.plot(better.value, place, "o", color=hue, markersize=6)
+        axes.plot(better.value, place, "o", color=hue, markersize=6, clip_on=False)
     axes.axvline(0.5, color=plots.GREY, linewidth=1, linestyle="--")
     labels = [f"{name}: esc > {rival}" for name, rival, _ in lines]
     axes.set_yticks(range(len(lines)), labels, fontsize=9)

@@ -98,14 +98,16 @@ def verdicts(tasks: Sequence[Task]) -> Iterator[Block]:
 def _overall(tasks: Sequence[Task]) -> Iterator[Block]:
     if found := overall(tasks):
         yield Text(
-            "Over all scenarios, IQM of returns on a scale where 0 is the best blind policy of the "
-            "scenario and 1 is IDM/MOBIL, and the mean probability that ESC improves on it:"
+            "IQM of returns over all scenarios, on a scale where 0 is the best blind policy of the "
+            "scenario and 1 is IDM/MOBIL (not where that is no better), of representations that "
+            "ran in all; and the probability that ESC improves on a rival, mean over the scenarios "
+            "that both ran in:"
         )
         better = overall_duels(tasks)
         yield Rows([["", "IQM", "probability of improvement"], *(
-            [repr, interval(value),
+            [repr, interval(found[repr]) if repr in found else "",
              interval(better[repr], percent=True) if repr in better else ""]
-            for repr, value in found.items()
+            for repr in {**found, **better}
         )])  # fmt: skip
 
 

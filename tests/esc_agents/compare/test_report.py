@@ -165,6 +165,15 @@ def test_wins_losses_and_what_is_no_better_than_blind(tmp_path):
     assert "| **fp** | 3 | 8.10 " in text  # the best is bold
 
 
+def test_a_rival_that_did_not_run_everywhere_is_not_dropped(tmp_path):
+    store.begin_task(tmp_path, small(env=("exit-v0",), transfer={}), "exit-v0")
+    store.write_baselines(tmp_path / "exit-v0-ppo", baselines())
+    store.write(tmp_path, result("esc", 0, [5.0], env="exit-v0"))
+    text = build(tmp_path, [result("esc", 0, [5.0]), result("fp", 0, [3.0])])
+    assert "| esc | 0.50 |  |" in text
+    assert "| fp |  | 100% |" in text
+
+
 def test_everything_above_blind(tmp_path):
     text = build(tmp_path, [result("esc", s, [9.0 + s]) for s in range(3)])
     assert "every representation is above the best blind policy" in text
