@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import rmtree
 from typing import Any, Protocol
 
 import numpy as np
@@ -95,6 +96,8 @@ class TrainJob:
                 store.write(out, Tuned(self.cell, returns, took, run.versions()))
             else:
                 store.write(out, self._measured(config, folder, start))
+        # Of no use any more, and with SAC's replay buffer hundreds of MB for each run.
+        rmtree(folder / "checkpoints", ignore_errors=True)
 
     def _measured(self, config: TrainConfig, folder: Path, start: float) -> Result:
         cell, episodes = self.cell, range(EPISODES, EPISODES + self.config.episodes)

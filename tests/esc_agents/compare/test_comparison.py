@@ -98,6 +98,14 @@ def test_a_lost_result_is_measured_again_without_training(own, compared):
     assert measured(own) == measured(compared)
 
 
+def test_finished_runs_keep_their_policy_but_no_checkpoints(compared):
+    runs = [path for path in (compared / TASK / "runs").iterdir() if path.is_dir()]
+    assert len(runs) == 10  # 2 representations: 2 candidates each, 2 seeds, 1 in other traffic
+    for folder in runs:
+        assert (folder / "policy.safetensors").exists()
+        assert not (folder / "checkpoints").exists()
+
+
 def test_a_damaged_result_is_named_and_nothing_is_trained(own):
     path = own / TASK / "results" / "fp-s0.json"
     path.write_text(path.read_text()[:-9])
