@@ -50,9 +50,8 @@ def test_example(name, tmp_path):
 
 
 def test_scenario_by_yaml(tmp_path):
-    small = ["--steps", "32", "--ppo.n-steps", "16", "--ppo.batch-size", "16"]
     start(
         tmp_path, "-c", TRAIN_YAML, "--config", str(EXAMPLES / "new_scenario.yaml"),
-        *small, "--evaluation.episodes", "1", "--run-dir", "run",
+        "--steps", "512", "--evaluation.episodes", "1", "--run-dir", "run",
     )  # fmt: skip
     assert (tmp_path / "run" / "model.zip").is_file()
