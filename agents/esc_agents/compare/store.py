@@ -4,7 +4,8 @@
                        baselines.json   drivers that learn nothing
                        tuning/*.json    tuning runs
                        results/*.json   runs of the study
-                       runs/            directories of esc-train, and what it said
+                       runs/            directories of esc-train, and what it said; no
+                                        checkpoints of finished runs
 """
 
 from __future__ import annotations
