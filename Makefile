@@ -30,10 +30,10 @@ bench: setup
 	$(BIN)/esc-bench $(BENCH)
 
 drill: setup
-	$(BIN)/python -m esc_agents.drill
+	$(BIN)/python -m esc_agents.cli.drill
 
 soak: setup
-	$(BIN)/python -m esc_agents.soak $(SOAK)
+	$(BIN)/python -m esc_agents.cli.soak $(SOAK)
 
 lint: setup
 	$(BIN)/ruff check .

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from esc_agents.config import EvaluationConfig, config_for_env
-from esc_agents.train import train
+from esc_agents.training.train import train
 from esc_gym.encoders import REPRESENTATIONS, SetEncoder
 
 

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from esc_agents.config import EvaluationConfig, config_for_env
-from esc_agents.train import train
+from esc_agents.training.train import train
 
 steps = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
 run_dir = Path(sys.argv[2]) if len(sys.argv) > 2 else None

@@ -1,5 +1,12 @@
-"""The one error that means: the user can mend this."""
+"""What the user is told: lines on the way, and the one error that means: you can mend this."""
+
+from __future__ import annotations
 
 
 class UserError(Exception):
     """One line for the user: what was expected, what came, what to do. Exit code 2."""
+
+
+def say(text: str) -> None:
+    """To people, at once."""
+    print(text, flush=True)

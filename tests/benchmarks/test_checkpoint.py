@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from esc_agents import checkpoint
 from esc_agents.config import config_for_env
-from esc_agents.train import new_model, vectorise
+from esc_agents.driving.vectorised import vectorise
+from esc_agents.training import checkpoint
+from esc_agents.training.models import new_model
 
 
 def test_checkpoints_cost_less_than_three_percent(benchmark: Any, tmp_path: Any) -> None:

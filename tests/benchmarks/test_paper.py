@@ -11,8 +11,8 @@ import pytest
 import torch
 from torch import nn
 
+from esc_agents.paper.cells import BATCH, Cell, Policy, updater
 from esc_agents.paper.samples import Samples
-from esc_agents.paper.training import BATCH, Cell, Policy, updater
 from tests.benchmarks.interleaved import fastest, torch_threads
 
 CELLS = [Cell(1, 20, "esc", 0), Cell(1, None, "esc", 0), Cell(1, 5, "fp", 0), Cell(1, 20, "ap", 0)]

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from esc_agents.train import train
+from esc_agents.training.train import train
 from tests.esc_agents.tiny import SAC_RUN, tiny
 
 

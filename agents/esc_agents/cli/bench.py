@@ -45,6 +45,6 @@ def main() -> None:
 def command(args: list[str]) -> int:
     """0: done; 1: done, but somewhere the trajectories differ."""
     arguments = parse(PROGRAM, BenchArguments, args)
-    from esc_agents.bench import benchmark
+    from esc_agents.proof.bench import benchmark
 
     return 0 if benchmark(**dict(arguments), command=shlex.join([PROGRAM, *args])) else 1

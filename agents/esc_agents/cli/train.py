@@ -48,7 +48,7 @@ def command(args: list[str]) -> int:
                 f"--resume continues a run as it was: expected only --steps and --trust beside "
                 f"it, got {', '.join(changed)}"
             )
-    from esc_agents.train import train  # torch loads once the arguments are right
+    from esc_agents.training.train import train
 
     return 0 if train(config, resume=arguments.resume, trust=arguments.trust) else 130
 
@@ -63,7 +63,7 @@ def _base(args: list[str]) -> TrainArguments:
     except argparse.ArgumentError as error:
         raise UserError(str(error)) from error
     if given.resume is not None:
-        from esc_agents.run import open_run
+        from esc_agents.training.run_directory import open_run
 
         base = open_run(Path(given.resume))
     elif given.config is not None:

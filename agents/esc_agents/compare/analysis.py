@@ -14,8 +14,8 @@ import numpy as np
 from esc_agents.compare import store
 from esc_agents.compare.grid import Candidate
 from esc_agents.compare.store import Baselines, Result, Tuned
-from esc_agents.evaluate import MEANS, Episode, Summary
-from esc_agents.statistics import (
+from esc_agents.driving.episodes import MEANS, Episode, Summary
+from esc_agents.reporting.statistics import (
     Estimate,
     difference_of_means,
     interquartile_mean,

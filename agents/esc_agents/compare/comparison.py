@@ -8,7 +8,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from esc_agents.checks import check
 from esc_agents.compare import store
 from esc_agents.compare.analysis import tuning_scores
 from esc_agents.compare.engines import Engine
@@ -27,10 +26,10 @@ from esc_agents.compare.grid import (
 from esc_agents.compare.jobs import BaselineJob, Interrupted, Job, TrainJob
 from esc_agents.compare.progress import Board
 from esc_agents.compare.report import write_report
-from esc_agents.errors import UserError
-from esc_agents.report import show, terminal
-from esc_agents.run import locked, note_command
-from esc_agents.train import say
+from esc_agents.driving.checks import check
+from esc_agents.errors import UserError, say
+from esc_agents.reporting.tables import show, terminal
+from esc_agents.training.run_directory import locked, note_command
 from esc_gym.encoders import APEncoder, representation
 
 

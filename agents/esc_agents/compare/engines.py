@@ -17,9 +17,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
+from esc_agents import files
 from esc_agents.compare.jobs import Interrupted, Job, Post, Progress, collected
 from esc_agents.errors import UserError
-from esc_agents.run import write_atomically
 from esc_agents.workers import SPAWN, follow_parent
 
 CONNECT_SECONDS = 15
@@ -148,7 +148,9 @@ class RayEngine:
                 try:
                     for name, content in ray.get(reference).items():
                         (out / name).parent.mkdir(parents=True, exist_ok=True)
-                        write_atomically(out / name, lambda file, data=content: file.write(data))
+                        files.write_atomically(
+                            out / name, lambda file, data=content: file.write(data)
+                        )
                 except ray.exceptions.RayTaskError as raised:
                     error = raised.cause if isinstance(raised.cause, Exception) else raised
                 except ray.exceptions.RayError as raised:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from esc_agents.config import TrainConfig
-from esc_agents.train import closing, new_model, vectorise
+from esc_agents.driving.vectorised import closing, vectorise
+from esc_agents.training.models import new_model
 from esc_agents.workers import SPAWN
 
 LEAST_SECONDS = 2.0

@@ -7,7 +7,7 @@ from typing import Any
 
 from esc_agents.compare.analysis import OURS, Task, tuning_scores
 from esc_agents.compare.grid import TUNING_SEED, TuningConfig, candidates
-from esc_agents.document import Block, Heading, Rows, Text
+from esc_agents.reporting.documents import Block, Heading, Rows, Text
 
 
 def fairness(tasks: Sequence[Task]) -> Iterator[Block]:

@@ -8,15 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from esc_agents import plots
-from esc_agents.compare.analysis import (
-    Task,
-    duels,
-    overall_duels,
-    row,
-    transfer,
-)
-from esc_agents.statistics import Estimate
+from esc_agents.compare.analysis import Task, duels, overall_duels, row, transfer
+from esc_agents.reporting import plots
+from esc_agents.reporting.statistics import Estimate
 
 
 def curves(tasks: Sequence[Task]) -> Figure:

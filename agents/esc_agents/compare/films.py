@@ -7,15 +7,15 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw
 
-from esc_agents import document
+from esc_agents import files
 from esc_agents.compare import store
 from esc_agents.compare.analysis import Task
 from esc_agents.compare.grid import EPISODES
 from esc_agents.config import TrainConfig
-from esc_agents.evaluate import model_policy
-from esc_agents.policies import load_policy
-from esc_agents.run import write_atomically
-from esc_agents.video import gif, record
+from esc_agents.driving.episodes import model_policy
+from esc_agents.driving.films import gif, record
+from esc_agents.driving.policies import load_policy
+from esc_agents.reporting import documents
 
 SECONDS = 12  # of an episode, at most
 RATE = 5  # frames a second, at most: a page should not weigh tens of megabytes
@@ -23,7 +23,7 @@ WIDEST = 640  # pixels of a tall picture beside others, or a wide one above othe
 LABEL = 18  # pixels
 
 
-def film_of(task: Task, out: Path) -> document.Image | None:
+def film_of(task: Task, out: Path) -> documents.Image | None:
     """The animation of a scenario; made once, while the runs' policies are there."""
     path = out / f"drive-{task.folder.name}.gif"
     names = ", ".join(task.reprs)
@@ -41,8 +41,8 @@ def film_of(task: Task, out: Path) -> document.Image | None:
         data = gif(
             together({repr: frames for repr, (frames, _) in films.items()}, rate), shown(rate)
         )
-        write_atomically(path, lambda file: file.write(data))
-    return document.Image(path.name, path.read_bytes(), f"{task.name}, one episode with {names}")
+        files.write_atomically(path, lambda file: file.write(data))
+    return documents.Image(path.name, path.read_bytes(), f"{task.name}, one episode with {names}")
 
 
 def shown(rate: float) -> float:

@@ -15,23 +15,17 @@ import numpy as np
 from filelock import FileLock, Timeout
 from stable_baselines3.common.callbacks import BaseCallback
 
-from esc_agents import run
+from esc_agents import files
 from esc_agents.compare import store
-from esc_agents.compare.grid import (
-    EPISODES,
-    Cell,
-    CompareConfig,
-    scenario,
-    task_name,
-    train_config,
-)
+from esc_agents.compare.grid import EPISODES, Cell, CompareConfig, scenario, task_name, train_config
 from esc_agents.compare.measure import baselines, drive, encoder_of, examine
 from esc_agents.compare.store import Result, Tuned
 from esc_agents.config import TrainConfig
+from esc_agents.driving.policies import load_policy
 from esc_agents.errors import UserError
-from esc_agents.evaluate import read_evaluations
-from esc_agents.policies import load_policy
-from esc_agents.train import train
+from esc_agents.training import run_directory
+from esc_agents.training.run_directory import read_evaluations
+from esc_agents.training.train import train
 from esc_gym.encoders import APEncoder
 from esc_gym.matching import parameter_count
 
@@ -93,7 +87,7 @@ class TrainJob:
                 saved = read_evaluations(folder / "evaluations.npz")
                 returns = saved["results"][-JUDGED:].ravel().tolist()
                 took = time.perf_counter() - start
-                store.write(out, Tuned(self.cell, returns, took, run.versions()))
+                store.write(out, Tuned(self.cell, returns, took, files.versions()))
             else:
                 store.write(out, self._measured(config, folder, start))
         # Of no use any more, and with SAC's replay buffer hundreds of MB for each run.
@@ -120,7 +114,7 @@ class TrainJob:
         return Result(
             cell, vehicles, slots, (parameter_count(encoder), parameter_count(policy)),
             config.model_dump(mode="json"), curve, drives, shuffled, order, churn,
-            time.perf_counter() - start, run.versions(),
+            time.perf_counter() - start, files.versions(),
         )  # fmt: skip
 
 
@@ -158,12 +152,12 @@ def _into_log(out: Path, cell: Cell) -> Iterator[None]:
 def _train(config: TrainConfig, folder: Path, post: Post, name: str) -> None:
     """Train into ``folder``, or go on there; nothing where it is done. Raises Interrupted."""
     if (folder / "results.json").exists():
-        run.verify(folder, "policy.json", "policy.safetensors", "evaluations.npz")
+        run_directory.verify(folder, "policy.json", "policy.safetensors", "evaluations.npz")
         return
     listener = _Listener(name, post)
     if (folder / "config.yaml").exists():
         _wait_until_free(folder)
-        begun = run.open_run(folder)
+        begun = run_directory.open_run(folder)
         if begun.model_copy(update={"run_dir": None}) != config:
             raise UserError(
                 f"{folder} was trained with other settings; remove it, and its run is done anew"

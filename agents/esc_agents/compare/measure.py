@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from torch import nn
 
+from esc_agents import files
 from esc_agents.compare.store import Baselines, OrderEffect
 from esc_agents.config import TrainConfig
-from esc_agents.evaluate import Episode, evaluate, model_policy
-from esc_agents.floors import floors, rule_driver
-from esc_agents.run import versions
-from esc_agents.train import closing, vectorise
+from esc_agents.driving.baselines import floors, rule_driver
+from esc_agents.driving.episodes import Episode, evaluate, model_policy
+from esc_agents.driving.vectorised import closing, vectorise
 from esc_gym.encoders import APEncoder, SetEncoder
 
 
@@ -54,7 +54,7 @@ def baselines(config: TrainConfig, first_seed: int, episodes: int) -> Baselines:
     """Every blind policy of a scenario, and IDM/MOBIL in the ego's place."""
     evaluation = config.evaluation.model_copy(update={"seed": first_seed})
     config = config.model_copy(update={"evaluation": evaluation})
-    return Baselines(floors(config, episodes), rule_driver(config, episodes), versions())
+    return Baselines(floors(config, episodes), rule_driver(config, episodes), files.versions())
 
 
 def network_of(policy: Any) -> nn.Module:

@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.table import Table
 
 from esc_agents.compare.jobs import BaselineJob, Job, Progress, TrainJob
-from esc_agents.train import say
+from esc_agents.errors import say
 
 COLUMNS = ("", "runs", "steps", "return", "crashes", "steps/s", "left")
 

@@ -9,6 +9,7 @@ from math import isinf
 from pathlib import Path
 from typing import Any
 
+from esc_agents import files
 from esc_agents.compare import figures
 from esc_agents.compare.analysis import (
     Task,
@@ -28,12 +29,10 @@ from esc_agents.compare.fairness import fairness, tuning
 from esc_agents.compare.films import film_of
 from esc_agents.compare.grid import EPISODES, TUNING_EPISODES
 from esc_agents.config import flow
-from esc_agents.document import Block, Heading, Rows, Text, picture, write
-from esc_agents.errors import UserError
-from esc_agents.report import show, terminal
-from esc_agents.run import write_text
-from esc_agents.statistics import Estimate
-from esc_agents.train import say
+from esc_agents.errors import UserError, say
+from esc_agents.reporting.documents import Block, Heading, Rows, Text, picture, write
+from esc_agents.reporting.statistics import Estimate
+from esc_agents.reporting.tables import show, terminal
 
 TITLE = "Representations of traffic, compared"
 COLUMNS = (
@@ -59,7 +58,7 @@ def write_report(out: Path) -> None:
     for task in tasks:
         show(terminal(list(table(task)), task.name))
     for name, lines in {"summary": summary_rows(tasks), "runs": run_rows(tasks)}.items():
-        write_text(out / f"{name}.csv", as_csv(lines))
+        files.write_text(out / f"{name}.csv", as_csv(lines))
     written = write(out, "report", TITLE, blocks)
     say(f"Written into {out}: {', '.join(path.name for path in written)}, summary.csv, runs.csv")
 

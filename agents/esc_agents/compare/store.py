@@ -19,12 +19,12 @@ from typing import Any
 
 import yaml
 
-from esc_agents import records
+from esc_agents import files
 from esc_agents.compare.grid import Candidate, Cell, CompareConfig, task_name
+from esc_agents.driving.episodes import Episode, Summary, as_rows, summaries
 from esc_agents.errors import UserError
-from esc_agents.evaluate import Episode, Summary, as_rows, summaries
-from esc_agents.records import Damaged
-from esc_agents.run import write_text
+from esc_agents.reporting import records
+from esc_agents.reporting.records import Damaged
 
 SCHEMA = 1
 
@@ -163,7 +163,7 @@ def begin_task(out: Path, config: CompareConfig, env: str) -> None:
     asked["transfer"] = config.transfer.get(env, {})
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(path, yaml.safe_dump(asked, sort_keys=False))
+        files.write_text(path, yaml.safe_dump(asked, sort_keys=False))
         return
     found = task_settings(folder)
     for key in {**found, **asked}:

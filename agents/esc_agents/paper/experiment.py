@@ -15,14 +15,13 @@ from typing import Any
 import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from esc_agents.errors import UserError
+from esc_agents import files
+from esc_agents.errors import UserError, say
 from esc_agents.paper import results
+from esc_agents.paper.cells import CODE_DIM, INIT, Cell, overtaking, train
 from esc_agents.paper.results import Result
 from esc_agents.paper.targets import MAX_VEHICLES
-from esc_agents.paper.training import CODE_DIM, INIT, Cell, overtaking, train
-from esc_agents.records import Damaged
-from esc_agents.run import versions
-from esc_agents.train import say
+from esc_agents.reporting.records import Damaged
 from esc_agents.workers import SPAWN, follow_parent
 from esc_gym.encoders import APEncoder, representation
 
@@ -142,7 +141,7 @@ def train_cells(cells: Sequence[Cell], updates: int, device: str, out: Path) -> 
 
     trained = train(cells, updates, device, tick)
     seconds = (time.perf_counter() - start) / len(cells)
-    made_with = versions() | {"device": device}
+    made_with = files.versions() | {"device": device}
     found = []
     for cell, (policy, points) in zip(cells, trained, strict=True):
         outputs = None

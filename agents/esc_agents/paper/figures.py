@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, StrMethodFormatter
 
-from esc_agents import plots
+from esc_agents.paper.cells import TEST_SIZES, overtaking
 from esc_agents.paper.results import Result
 from esc_agents.paper.samples import Samples
 from esc_agents.paper.table import (
@@ -22,7 +22,7 @@ from esc_agents.paper.table import (
     title_of,
 )
 from esc_agents.paper.targets import MAX_VEHICLES, TARGETS, VEHICLE_DIM
-from esc_agents.paper.training import TEST_SIZES, overtaking
+from esc_agents.reporting import plots
 from esc_gym.theory import required_code_dim
 
 COLORS: dict[Column, str] = {

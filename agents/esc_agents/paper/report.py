@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from esc_agents.document import Block, Heading, Rows, Text, picture, write
-from esc_agents.errors import UserError
+from esc_agents import files
+from esc_agents.errors import UserError, say
 from esc_agents.paper import figures
+from esc_agents.paper.cells import CODE_DIM, INIT, overtaking
 from esc_agents.paper.results import Result, read_file
 from esc_agents.paper.table import (
     Table,
@@ -24,11 +25,9 @@ from esc_agents.paper.table import (
     title_of,
 )
 from esc_agents.paper.targets import MAX_VEHICLES
-from esc_agents.paper.training import CODE_DIM, INIT, overtaking
-from esc_agents.records import Damaged
-from esc_agents.report import show, terminal
-from esc_agents.run import write_text
-from esc_agents.train import say
+from esc_agents.reporting.documents import Block, Heading, Rows, Text, picture, write
+from esc_agents.reporting.records import Damaged
+from esc_agents.reporting.tables import show, terminal
 
 TITLE = "The paper's experiment, ours beside the paper's"
 NOTE = """\
@@ -78,7 +77,7 @@ def report(out: Path) -> None:
                 plain = [[_DEVIATION.sub("", cell) for cell in row] for row in content]
                 show(terminal(plain, title))
     written = write(out, "report", TITLE, blocks)
-    write_text(out / "table.csv", as_csv(results))
+    files.write_text(out / "table.csv", as_csv(results))
     say(f"Written into {out}: {', '.join(path.name for path in written)}, table.csv")
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from esc_agents import records
-from esc_agents.paper.training import CODE_DIM, INIT, Cell, Point
-from esc_agents.records import Damaged
+from esc_agents.paper.cells import CODE_DIM, INIT, Cell, Point
+from esc_agents.reporting import records
+from esc_agents.reporting.records import Damaged
 
 SCHEMA = 2
 

@@ -12,8 +12,8 @@ from typing import get_args
 
 import numpy as np
 
+from esc_agents.paper.cells import CODE_DIM, Cell, Init
 from esc_agents.paper.results import Result
-from esc_agents.paper.training import CODE_DIM, Cell, Init
 
 Column = tuple[str, str]
 """(representation, "fixed" or "any" M in training)."""

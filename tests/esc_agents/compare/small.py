@@ -8,7 +8,7 @@ from typing import Any
 from esc_agents.compare import store
 from esc_agents.compare.grid import Cell, CompareConfig
 from esc_agents.compare.store import Baselines, OrderEffect, Result
-from esc_agents.evaluate import Episode, Summary
+from esc_agents.driving.episodes import Episode, Summary
 from tests.esc_agents.tiny import PPO, ROAD
 
 ENV = "highway-fast-v0"

@@ -8,7 +8,7 @@ from scipy import stats
 
 from esc_agents.compare import analysis, store
 from esc_agents.compare.analysis import Task
-from esc_agents.statistics import Estimate, wilson_interval
+from esc_agents.reporting.statistics import Estimate, wilson_interval
 from tests.esc_agents.compare.small import ENV, MORE, baselines, episode, result, small
 
 SCORES = {"esc": [4.0, 6.0, 8.0], "fp": [3.0, 4.0, 5.0], "ap": [-1.0, 0.0, -2.0]}

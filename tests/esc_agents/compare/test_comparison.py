@@ -10,14 +10,15 @@ import time
 import pytest
 from filelock import FileLock
 
-from esc_agents.checks import check
 from esc_agents.compare import store
 from esc_agents.compare.comparison import choice, compare, plan
 from esc_agents.compare.grid import EPISODES, study_cells, train_config, tuning_cells
+from esc_agents.driving.checks import check
+from esc_agents.driving.episodes import evaluate, model_policy
+from esc_agents.driving.policies import load_policy
+from esc_agents.driving.vectorised import vectorise
 from esc_agents.errors import UserError
-from esc_agents.evaluate import evaluate, model_policy
-from esc_agents.policies import load_policy
-from esc_agents.train import train, vectorise
+from esc_agents.training.train import train
 from tests.esc_agents.compare.small import ENV, HereEngine, measured, small
 
 TASK = f"{ENV}-ppo"

@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
-from esc_agents.callbacks import StopOnSignal
 from esc_agents.compare.comparison import compare
 from esc_agents.compare.engines import LocalEngine, RayEngine
 from esc_agents.compare.jobs import Interrupted, Progress
 from esc_agents.errors import UserError
+from esc_agents.training.callbacks import StopOnSignal
 from tests.esc_agents.compare.small import measured, small
 
 

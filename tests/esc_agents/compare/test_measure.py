@@ -17,10 +17,10 @@ from esc_agents.compare.measure import (
     examine,
     shuffled,
 )
-from esc_agents.envs import make_env
-from esc_agents.evaluate import Summary, evaluate
-from esc_agents.policies import load_policy
-from esc_agents.train import train
+from esc_agents.driving.environments import make_env
+from esc_agents.driving.episodes import Summary, evaluate
+from esc_agents.driving.policies import load_policy
+from esc_agents.training.train import train
 from esc_gym.encoders import FPEncoder
 from tests.esc_agents.tiny import ROAD, SAC_RUN, tiny
 

@@ -46,7 +46,7 @@ def test_damaged_results_are_named(tmp_path, damage):
         store.write(tmp_path, result("esc", 1, [1.0]))
         store.path_of(tmp_path, replace(run.cell, seed=1)).rename(path)
     elif damage == "fields":
-        from esc_agents import records
+        from esc_agents.reporting import records
 
         records.write(path, store.SCHEMA, {"cell": {}})
     else:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from esc_agents.paper.cells import Cell, Point
 from esc_agents.paper.results import Result
-from esc_agents.paper.training import Cell, Point
 
 
 def result(

@@ -12,9 +12,9 @@ import pytest
 
 from esc_agents.cli import paper as cli
 from esc_agents.errors import UserError
+from esc_agents.paper.cells import Cell
 from esc_agents.paper.experiment import cost, grid, groups, study
 from esc_agents.paper.results import path_of, read
-from esc_agents.paper.training import Cell
 
 SMALL = ["--benchmarks", "1", "--cases", "5", "--repr", "fp", "esc", "--updates", "4"]
 SCRIPT = "import sys; from esc_agents.cli.paper import main; main()"

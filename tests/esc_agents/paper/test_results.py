@@ -7,9 +7,9 @@ import json
 
 import pytest
 
+from esc_agents.paper.cells import Cell, Point
 from esc_agents.paper.results import Result, path_of, read, write
-from esc_agents.paper.training import Cell, Point
-from esc_agents.records import Damaged
+from esc_agents.reporting.records import Damaged
 
 CELL = Cell(2, None, "esc", 3)
 POINTS = [Point(100, {5: 7.25, 20: 0.1}), Point(200, {5: 1 / 3, 20: 2.0})]

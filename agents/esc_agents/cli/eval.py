@@ -1,0 +1,52 @@
+"""esc-eval: drive a trained run's policy on fixed seeds."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from pydantic import BaseModel, ConfigDict, PositiveInt
+
+from esc_agents.cli import guarded, parse
+from esc_agents.config import Seed
+
+PROGRAM = "esc-eval"
+
+
+class EvaluateArguments(BaseModel):
+    """Drive a trained run's policy on fixed seeds and say how it went."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    run_dir: Annotated[Path, tyro.conf.Positional]
+    """Directory that esc-train wrote."""
+    episodes: PositiveInt = 20
+    seed: Seed = 2_000_000
+    """Seed of the first episode; the others follow."""
+    shuffle: bool = False
+    """Permute the vehicles of every observation."""
+    video: Path | None = None
+    """Folder for a GIF of each of the first episodes."""
+    videos: PositiveInt = 3
+    """How many episodes to film with --video."""
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
+    """File for the results and every episode."""
+    device: str = "auto"
+    trust: bool = False
+    """Load model.zip where there is no policy.safetensors: it can run code of whoever wrote it."""
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    guarded(PROGRAM, lambda: command(sys.argv[1:]))
+
+
+def command(args: list[str]) -> int:
+    """0: done."""
+    arguments = parse(PROGRAM, EvaluateArguments, args)
+    from esc_agents.training.evaluation import evaluate_run
+
+    evaluate_run(**dict(arguments))
+    return 0

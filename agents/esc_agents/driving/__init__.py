@@ -1,0 +1,1 @@
+"""Environments of a run, and who drives in them."""

@@ -1,0 +1,97 @@
+"""Drivers that learn nothing: policies that never look, and highway-env's own, IDM and MOBIL."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from esc_agents import files
+from esc_agents.config import TrainConfig
+from esc_agents.driving.checks import check
+from esc_agents.driving.episodes import Policy, Summary, evaluate, table
+from esc_agents.driving.vectorised import closing, vectorise
+from esc_agents.errors import say
+from esc_agents.reporting.tables import markdown
+
+
+def blind_policies(
+    space: gym.Space, count: int, names: Mapping[int, str], seed: int
+) -> dict[str, Policy]:
+    """Every policy that does not look: each constant action, and a random one.
+
+    space: of one environment; count: of environments; names: of discrete actions. Of continuous
+    actions: the neutral one, and full throttle straight ahead where there is a throttle.
+    """
+    if isinstance(space, gym.spaces.Discrete):
+        constants: dict[str, Any] = {
+            f"always {names.get(action, action)}": action for action in range(int(space.n))
+        }
+    else:
+        neutral = np.zeros(space.shape or (), np.float32)
+        constants = {"always neutral": neutral}
+        if neutral.size == 2:
+            constants["always full throttle"] = np.array([1, 0], np.float32)
+    policies = {name: _constant(action, count) for name, action in constants.items()}
+    return policies | {"random": _random(space, count, seed)}
+
+
+def _constant(action: Any, count: int) -> Policy:
+    actions = np.array([action] * count)
+    return lambda observations: actions
+
+
+def _random(space: gym.Space, count: int, seed: int) -> Policy:
+    generator = np.random.default_rng(seed)
+    if isinstance(space, gym.spaces.Discrete):
+        return lambda observations: generator.integers(space.n, size=count)
+    shape = (count, *(space.shape or ()))
+    return lambda observations: generator.uniform(-1, 1, shape).astype(np.float32)
+
+
+def action_names(env: Any) -> dict[int, str]:
+    """highway-env's names of the discrete actions."""
+    return getattr(env.unwrapped.action_type, "actions", {})
+
+
+def floors(config: TrainConfig, episodes: int) -> dict[str, Summary]:
+    """Every blind policy of a scenario on ``episodes`` fixed seeds."""
+    probe = check(config)
+    seed = config.evaluation.seed
+    seeds = range(seed, seed + episodes)
+    count = min(config.n_envs, episodes)
+    with closing(vectorise(config, count, evaluation=True)) as envs:
+        blind = blind_policies(probe.action_space, count, action_names(probe), seed)
+        return {name: Summary.of(evaluate(envs, policy, seeds)) for name, policy in blind.items()}
+
+
+def rule_driver(config: TrainConfig, episodes: int) -> Summary:
+    """highway-env's own driver, IDM and MOBIL, in the ego's place on the same seeds."""
+    seeds = range(config.evaluation.seed, config.evaluation.seed + episodes)
+    count = min(config.n_envs, episodes)
+    with closing(vectorise(config, count, evaluation=True, rule_driver=True)) as envs:
+        space = envs.action_space
+        ignored = np.zeros((count, *(space.shape or ())), space.dtype)
+        return Summary.of(evaluate(envs, lambda observations: ignored, seeds))
+
+
+def write_floors(configs: Mapping[str, TrainConfig], episodes: int, seed: int, out: Path) -> None:
+    """Measure the blind policies of scenarios, by name, and write a Markdown page of tables."""
+    text = [
+        "# Blind policies",
+        "",
+        f"Written by `python -m esc_agents.cli.floors --scenarios {' '.join(configs)} --episodes "
+        f"{episodes}`: {episodes} episodes each, seeds from {seed} on; brackets hold 95 % "
+        "intervals. "
+        + ", ".join(f"{name} {version}" for name, version in files.versions().items())
+        + ".",
+    ]
+    for name, config in configs.items():
+        say(f"{name} ...")
+        text += ["", f"## {name}", "", markdown(table(floors(config, episodes)))]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    files.write_text(out, "\n".join(text) + "\n")
+    say(f"Written: {out}")

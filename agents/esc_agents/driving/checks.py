@@ -1,0 +1,72 @@
+"""What a user can get wrong in a run, found before anything is made."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import torch
+
+from esc_agents.config import TrainConfig, check_env_id
+from esc_agents.driving.environments import check_actions, make_env
+from esc_agents.errors import UserError
+from esc_gym.encoders import representation
+from esc_gym.extractors import SetExtractor
+
+
+def check(config: TrainConfig) -> gym.Env:
+    """One environment of the run, after everything that a user can get wrong was looked at."""
+    try:
+        representation(config.repr)
+    except ValueError as error:
+        raise UserError(f"repr: {error}") from error
+    check_env_id(config.env)
+    check_device(config.device)
+    try:
+        check_actions(config)
+        env = make_env(config)
+        env.reset(seed=config.seed)
+        env.step(env.action_space.sample())  # reward terms are read here for the first time
+        _try_encoder(config, env)
+    except UserError:
+        raise
+    except Exception as error:  # a wrong value in env_config can make highway-env raise anything
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        reason = str(error).partition(" was raised from the environment creator")[0]
+        raise UserError(f"{config.env}: {kind}{reason}") from error
+    rollout = config.ppo.n_steps * config.n_envs
+    if config.algo == "ppo" and config.ppo.batch_size > rollout:
+        raise UserError(
+            f"ppo.batch_size: expected at most n_steps * n_envs = {rollout}, got "
+            f"{config.ppo.batch_size}; raise --ppo.n-steps or lower --ppo.batch-size"
+        )
+    return env
+
+
+def check_device(name: str) -> None:
+    """Raises UserError unless torch can compute on the device called ``name``."""
+    if name == "auto":
+        return
+    try:
+        torch.empty(1, device=name).cpu()  # of "meta", too, torch makes tensors
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(f"device: expected auto, cpu or cuda, got {name!r}: {reason}") from error
+
+
+def _try_encoder(config: TrainConfig, env: Any) -> None:
+    extractor = SetExtractor(env.observation_space, **extractor_arguments(config))
+    observation = env.observation_space.sample()
+    extractor({name: torch.as_tensor(value[None]).float() for name, value in observation.items()})
+
+
+def extractor_arguments(config: TrainConfig) -> dict[str, Any]:
+    """What the run's ``SetExtractor`` is made with."""
+    encoder = config.encoder
+    return {
+        "representation": config.repr,
+        "hidden": list(encoder.hidden),
+        "code_dim": encoder.code_dim,
+        "match_parameters": encoder.match_parameters,
+        **encoder.arguments,
+    }

@@ -1,0 +1,109 @@
+"""One environment of a run, or many factories of it, as its configuration says.
+
+Worker processes import this module, which itself needs no torch.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import warnings
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+import gymnasium as gym
+from gymnasium.envs.registration import load_env_creator
+
+from esc_agents.config import TrainConfig
+from esc_agents.driving.rule_driver import RuleDriver
+from esc_agents.driving.wrappers import DrivingMonitor, Progress, SeededEpisodes, Worker
+from esc_agents.errors import UserError
+from esc_gym.registration import NAMESPACE, merge, merge_config
+from esc_gym.scenarios import scenario_of_class
+
+
+def env_config(config: TrainConfig) -> dict[str, Any]:
+    """The highway-env configuration of a run: the scenario's, changed by ``continuous`` for SAC."""
+    preset = config.continuous.env_config if config.algo == "sac" and config.continuous else {}
+    return merge(config.env_config, preset)
+
+
+def check_actions(config: TrainConfig) -> None:
+    """Raises UserError where algorithm and action space cannot meet, with the reason."""
+    env_class: Any = load_env_creator(str(gym.registry[config.env].entry_point))
+    action = merge_config(env_class.default_config(), env_config(config))["action"]["type"]
+    scenario = scenario_of_class(env_class)
+    reason = scenario.discrete_only if scenario else None
+    wanted = "continuous actions" if config.algo == "ppo" else "--algo sac"
+    if reason and (action == "ContinuousAction" or config.algo == "sac"):
+        raise UserError(
+            f"{wanted} on {config.env}: highway-env cannot do continuous actions here, since "
+            f"{reason}; use --algo ppo with meta-actions"
+        )
+    if config.algo == "sac" and action != "ContinuousAction":
+        raise UserError(
+            f"--algo sac on {config.env}: expected continuous actions, got {action}; give the "
+            "scenario a `continuous` section, or --env-config '{action: {type: ContinuousAction}}'"
+        )
+
+
+def make_env(
+    config: TrainConfig,
+    *,
+    shuffle: bool = False,
+    render_mode: str | None = None,
+    evaluation: bool = False,
+    rule_driver: bool = False,
+) -> gym.Env:
+    """One environment of a run.
+
+    shuffle: permute the rows of every observation. evaluation: also measure times to collision.
+    rule_driver: IDM and MOBIL drive the ego.
+    """
+    observation = config.observation.model_dump()
+    if shuffle:
+        observation["order"] = "shuffled"
+    elif observation["order"] is None:
+        observation["order"] = "shuffled" if config.repr == "ap" else "road"
+    with warnings.catch_warnings():
+        # The run names its version; Gymnasium's advice to take a newer one would change the task.
+        warnings.filterwarnings("ignore", ".*is out of date.*", DeprecationWarning)
+        env = gym.make(
+            f"{NAMESPACE}/{config.env}",
+            config=env_config(config),
+            render_mode=render_mode,
+            disable_env_checker=True,
+            **observation,
+        )
+    if rule_driver:
+        env = RuleDriver(env)
+    task = config.continuous if config.algo == "sac" else None
+    if task and (task.progress_reward or task.offroad_terminal):
+        env = Progress(env, task.progress_reward, task.offroad_terminal)
+    env = DrivingMonitor(env, ttc=evaluation)
+    return SeededEpisodes(env) if evaluation else env
+
+
+class EnvFactory:
+    """Picklable ``make_env``, in a ``Worker``, for SB3's vectorised environments."""
+
+    def __init__(self, config: TrainConfig, **options: Any) -> None:
+        self.config, self.options, self.parent = config, options, os.getpid()
+
+    def __call__(self) -> gym.Env:
+        if os.getpid() != self.parent:
+            # Ctrl-C reaches the whole process group; the parent decides when workers end.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        return Worker(make_env(self.config, **self.options))
+
+
+def factories(config: TrainConfig, count: int, **options: Any) -> list[Callable[[], gym.Env]]:
+    """``count`` factories of the run's environment."""
+    return [EnvFactory(config, **options) for _ in range(count)]
+
+
+def wrapper_json(env: gym.Env) -> dict[str, Any]:
+    """The observation of a run, resolved: what the model's inputs mean."""
+    spec = asdict(env.get_wrapper_attr("set_spec"))
+    return {**spec, "d1": len(spec["features"]), "d2": len(spec["ego_features"])}

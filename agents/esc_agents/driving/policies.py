@@ -1,0 +1,172 @@
+"""A policy as two files that hold no code: policy.safetensors and policy.json.
+
+SB3's zip holds pickles, and to unpickle is to run whatever the file's author wanted. These files
+hold numbers and names: weights, and what the network around them is built from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, ValidationError
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import BasePolicy, MultiInputActorCriticPolicy
+from stable_baselines3.sac.policies import MultiInputPolicy as SACPolicy
+from torch import Tensor
+
+from esc_agents import files
+from esc_agents.config import TrainConfig
+from esc_agents.errors import UserError
+from esc_gym.extractors import SetExtractor
+
+WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
+POLICIES: dict[str, type[BasePolicy]] = {"ppo": MultiInputActorCriticPolicy, "sac": SACPolicy}
+
+
+class _Described(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class BoxSpace(_Described):
+    """gymnasium.spaces.Box of float32; bounds without leading axes along which they are equal."""
+
+    type: Literal["box"] = "box"
+    shape: tuple[int, ...]
+    low: Any
+    high: Any
+
+    @classmethod
+    def of(cls, space: spaces.Box) -> BoxSpace:
+        return cls(shape=space.shape, low=_bound(space.low), high=_bound(space.high))
+
+    def build(self) -> spaces.Box:
+        low, high = (np.broadcast_to(np.float32(b), self.shape) for b in (self.low, self.high))
+        return spaces.Box(low, high, dtype=np.float32)
+
+
+class DiscreteSpace(_Described):
+    """gymnasium.spaces.Discrete."""
+
+    type: Literal["discrete"] = "discrete"
+    n: int
+
+    def build(self) -> spaces.Discrete:
+        return spaces.Discrete(self.n)
+
+
+class PolicyDescription(_Described):
+    """Everything of a policy but its weights.
+
+    sha256: of the file of weights. steps: of training. encoder: arguments of esc_gym's
+    SetExtractor. observation: what wrapper.json of the run says, the meaning of the inputs.
+    """
+
+    schema_version: Literal[1] = 1
+    sha256: str
+    algo: Literal["ppo", "sac"]
+    steps: int
+    ego: BoxSpace
+    vehicles: BoxSpace
+    action: BoxSpace | DiscreteSpace
+    encoder: dict[str, Any]
+    net_arch: tuple[int, ...]
+    observation: dict[str, Any]
+    versions: dict[str, str]
+
+    def build(self) -> BasePolicy:
+        """The policy, its weights not yet loaded."""
+        n = self.vehicles.shape[0]
+        observation = spaces.Dict(
+            ego=self.ego.build(), vehicles=self.vehicles.build(), mask=spaces.MultiBinary(n)
+        )
+        return POLICIES[self.algo](
+            observation, self.action.build(), lambda _: 0.0,  # type: ignore[arg-type]
+            net_arch=list(self.net_arch), features_extractor_class=SetExtractor,
+            features_extractor_kwargs=self.encoder,
+        )  # fmt: skip
+
+
+def save_policy(
+    folder: Path, model: BaseAlgorithm, config: TrainConfig, encoder: dict[str, Any],
+    observation: dict[str, Any], name: str = "policy",
+) -> None:  # fmt: skip
+    """Write the policy of ``model`` as ``name``.safetensors and ``name``.json into ``folder``."""
+    weights = save(_weights(model.policy))
+    inputs: Any = model.observation_space
+    action: Any = model.action_space
+    description = PolicyDescription(
+        sha256=hashlib.sha256(weights).hexdigest(),
+        algo=config.algo,
+        steps=model.num_timesteps,
+        ego=BoxSpace.of(inputs["ego"]),
+        vehicles=BoxSpace.of(inputs["vehicles"]),
+        action=DiscreteSpace(n=int(action.n))
+        if isinstance(action, spaces.Discrete)
+        else BoxSpace.of(action),
+        encoder=encoder,
+        net_arch=config.hyperparameters.net_arch,
+        observation=observation,
+        versions=files.versions(),
+    )
+    files.write_atomically(folder / f"{name}.safetensors", lambda file: file.write(weights))
+    files.write_text(folder / f"{name}.json", description.model_dump_json(indent=2) + "\n")
+
+
+def load_policy(folder: Path, device: str = "cpu", name: str = "policy") -> tuple[Any, int]:
+    """(policy, training steps) from the two files; nothing is unpickled.
+
+    Raises UserError where they are missing, damaged, or do not belong together.
+    """
+    described, stored = folder / f"{name}.json", folder / f"{name}.safetensors"
+    try:
+        description = PolicyDescription.model_validate_json(described.read_bytes())
+        weights = stored.read_bytes()
+    except FileNotFoundError as missing:
+        raise UserError(f"{folder}: expected {Path(missing.filename).name} in it") from missing
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise UserError(
+            f"{described} is damaged or of another version: {where} {first['msg']}"
+        ) from error
+    if hashlib.sha256(weights).hexdigest() != description.sha256:
+        raise UserError(f"{stored} does not match the checksum in {described.name}: it is damaged")
+    try:
+        policy = description.build()
+        _set_weights(policy, load(weights))
+    except (SafetensorError, RuntimeError, ValueError, TypeError) as error:
+        raise UserError(f"{described} does not describe the weights beside it: {error}") from error
+    policy.set_training_mode(False)
+    return policy.to(device), description.steps
+
+
+def _weights(policy: BasePolicy) -> dict[str, Tensor]:
+    """The state of a policy, each tensor once: SB3 has several names for a shared extractor."""
+    found: dict[tuple[int, torch.Size], str] = {}
+    state = policy.state_dict()
+    for name, tensor in state.items():
+        found.setdefault((tensor.data_ptr(), tensor.shape), name)
+    return {name: state[name].contiguous().cpu() for name in found.values()}
+
+
+def _set_weights(policy: BasePolicy, weights: dict[str, Tensor]) -> None:
+    expected = _weights(policy).keys()
+    if weights.keys() != expected:
+        differing = sorted(weights.keys() ^ expected)
+        raise ValueError(f"{len(differing)} names differ, such as {differing[0]}")
+    policy.load_state_dict(weights, strict=False)  # other names of the same tensors are missing
+
+
+def _bound(values: ArrayLike) -> Any:
+    array = np.asarray(values)
+    while array.ndim and (array == array[:1]).all():
+        array = array[0]
+    return array.tolist()

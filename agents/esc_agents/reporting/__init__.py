@@ -1,0 +1,1 @@
+"""Tables, documents, figures, statistics and records of results."""

@@ -1,0 +1,1 @@
+"""A run: training, its directory, its checkpoints, its evaluation."""

@@ -1,0 +1,186 @@
+"""The directory of a run: what it holds, written so that at any instant every file is whole."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import os
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filelock import FileLock, Timeout
+from numpy.typing import NDArray
+
+from esc_agents import files
+from esc_agents.config import TrainConfig, dump, load_config
+from esc_agents.errors import UserError
+
+CHECKSUMS = "SHA256SUMS"
+STEP = "time/total_timesteps"
+
+
+def default_run_dir(config: TrainConfig) -> Path:
+    """runs/<env>-<repr>-<algo>-<seed>-<time>"""
+    representation = config.repr.replace(":", ".")
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    return Path("runs") / f"{config.env}-{representation}-{config.algo}-{config.seed}-{stamp}"
+
+
+def create(path: Path, config: TrainConfig, wrapper: dict[str, Any], device: str = "cpu") -> Path:
+    """A new run directory with config.yaml, command.txt, versions.json and wrapper.json.
+
+    device: what the run computes on, for versions.json.
+    """
+    check_free(path)
+    try:
+        (path / "checkpoints").mkdir(parents=True)
+    except OSError as error:
+        raise UserError(f"run directory {path}: {error.strerror}") from error
+    note_session(path, config)
+    files.write_json(path / "versions.json", files.versions() | {"device": device})
+    files.write_json(path / "wrapper.json", wrapper)
+    return path
+
+
+def check_free(path: Path) -> None:
+    """Raises UserError where no directory can be made at ``path``."""
+    if os.path.lexists(path):
+        raise UserError(
+            f"run directory {path} already exists; continue that run with esc-train --resume "
+            f"{path}, or give another --run-dir"
+        )
+    parent = next(folder for folder in path.absolute().parents if folder.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise UserError(f"run directory {path}: no directory can be made in {parent}")
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Keeps other processes out of a run directory. Raises UserError where one is in it."""
+    lock = FileLock(path / ".lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout as error:
+        raise UserError(f"{path} is in use by another process; wait until it has ended") from error
+    try:
+        for left in path.rglob(".*.tmp"):  # of a process that was killed while it wrote
+            left.unlink(missing_ok=True)
+        yield
+    finally:
+        lock.release()
+
+
+def note_session(path: Path, config: TrainConfig) -> None:
+    """Keep what this session, the first or one that resumes, is to do, and add its command."""
+    (path / CHECKSUMS).unlink(missing_ok=True)  # they are of a session that has ended
+    files.write_text(
+        path / "config.yaml", f"# esc-train --config {path}/config.yaml\n{dump(config)}"
+    )
+    note_command(path)
+
+
+def note_command(path: Path) -> None:
+    """Add the command of this process to command.txt."""
+    commands = path / "command.txt"
+    before = commands.read_text(encoding="utf-8") if commands.is_file() else ""
+    files.write_text(commands, before + shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) + "\n")
+
+
+def open_run(path: Path) -> TrainConfig:
+    """The configuration of an existing run."""
+    if not (path / "config.yaml").is_file():
+        raise UserError(f"{path} is no run directory: expected a config.yaml in it")
+    verify(path, "config.yaml")
+    return load_config(path / "config.yaml")
+
+
+def write_checksums(path: Path) -> None:
+    """SHA256SUMS over the files of a run that ended, as ``sha256sum -c`` reads it."""
+    found = [file for file in sorted(path.iterdir()) if file.is_file() and file.name[0] != "."]
+    lines = [f"{_sha256(file)}  {file.name}\n" for file in found if file.name != CHECKSUMS]
+    files.write_text(path / CHECKSUMS, "".join(lines))
+
+
+def verify(path: Path, *names: str) -> None:
+    """Raises UserError where a file is not what it was when the run ended."""
+    try:
+        text = (path / CHECKSUMS).read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError):
+        return  # not ended
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{path / CHECKSUMS} is not readable: {error}") from error
+    sums = {name: digest for digest, _, name in (row.partition("  ") for row in text.splitlines())}
+    for name in names:
+        if name in sums and sums[name] != _sha256(path / name):
+            raise UserError(
+                f"{path / name} does not match its checksum in {CHECKSUMS}: it was damaged, or "
+                "changed after the run"
+            )
+
+
+def _sha256(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror}") from error
+
+
+class MetricsFile:
+    """metrics.csv: one row per log; goes on where an earlier session of the run stopped."""
+
+    def __init__(self, path: Path, first_step: int = 0) -> None:
+        """Rows past ``first_step``, logged after the model was saved, are dropped."""
+        self.path = path
+        self.rows: list[dict[str, Any]] = []
+        if path.is_file():
+            # What is not text is in a line that a crash cut off, and such lines are left out.
+            with path.open(newline="", encoding="utf-8", errors="replace") as file:
+                rows = [r for r in csv.DictReader(file) if (r.get(STEP) or "").isdigit()]
+            self.rows = [row for row in rows if int(row[STEP]) <= first_step]
+            self._rewrite()
+
+    def write(self, row: dict[str, Any]) -> None:
+        """Append a row, or add to the last one where it is of the same step."""
+        if self.rows and str(self.rows[-1][STEP]) == str(row[STEP]):
+            self.rows[-1].update(row)
+            self._rewrite()
+            return
+        known = self.rows[0].keys() if self.rows else ()
+        self.rows.append({**dict.fromkeys(known, ""), **row})
+        if len(self.rows[-1]) > len(known):
+            self._rewrite()
+        else:
+            with self.path.open("a", newline="", encoding="utf-8") as file:
+                csv.DictWriter(file, list(known)).writerow(self.rows[-1])
+
+    def _rewrite(self) -> None:
+        columns = dict.fromkeys(key for row in self.rows for key in row)
+        self.rows = [{**dict.fromkeys(columns, ""), **row} for row in self.rows]
+        text = io.StringIO()
+        table = csv.DictWriter(text, list(columns))
+        table.writeheader()
+        table.writerows(self.rows)
+        files.write_text(self.path, text.getvalue())
+
+
+def read_evaluations(path: Path) -> dict[str, NDArray]:
+    """The arrays of an evaluations.npz, each as long as ``timesteps``. Raises UserError."""
+    try:
+        with path.open("rb") as file, np.load(file) as saved:
+            arrays = {name: saved[name] for name in saved.files}
+        lengths = {len(values) for values in arrays.values()}
+        if lengths != {len(arrays["timesteps"])}:
+            raise ValueError(f"arrays of different lengths, {sorted(lengths)}")
+        return arrays
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # a damaged archive makes NumPy raise almost anything
+        raise UserError(f"{path} is damaged: {type(error).__name__}: {error}") from error

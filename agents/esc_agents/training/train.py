@@ -1,0 +1,229 @@
+"""One training run, from a configuration to a directory with a model and its results."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
+from stable_baselines3.common.vec_env import VecEnv
+from torch.utils.tensorboard import SummaryWriter
+
+from esc_agents import files
+from esc_agents.config import TrainConfig
+from esc_agents.driving.baselines import action_names, blind_policies
+from esc_agents.driving.checks import check, extractor_arguments
+from esc_agents.driving.environments import wrapper_json
+from esc_agents.driving.episodes import Summary, as_rows, evaluate, model_policy, seeds, table
+from esc_agents.driving.policies import save_policy
+from esc_agents.driving.vectorised import closing, vectorise
+from esc_agents.errors import UserError, say
+from esc_agents.reporting.tables import show, terminal
+from esc_agents.training import checkpoint, run_directory
+from esc_agents.training.callbacks import (
+    Checkpoints,
+    DrivingLog,
+    Faults,
+    FixedSeedEvaluation,
+    MetricsWriter,
+    StopOnSignal,
+    Stopped,
+)
+from esc_agents.training.models import ALGORITHMS, describe, new_model
+
+
+def train(
+    config: TrainConfig, *, resume: Path | None = None, trust: bool = False,
+    listeners: Sequence[BaseCallback] = (),
+) -> bool:  # fmt: skip
+    """Train as ``config`` says; prints the results. False where a signal ended it early.
+
+    resume: an existing run directory, which goes on from its last checkpoint as if it had never
+    stopped. trust: also from a checkpoint that somebody else wrote, which can run their code.
+    listeners: further callbacks, which must not change the training.
+    """
+    directory = resume or config.run_dir or run_directory.default_run_dir(config)
+    with _said(directory), ExitStack() as stack:
+        if resume:
+            _check_unfinished(config, resume)
+            stack.enter_context(run_directory.locked(resume))
+        else:
+            run_directory.check_free(directory)
+        probe = check(config)
+        envs, judges = (stack.enter_context(closing(made)) for made in _vectorised(config))
+        model, found = _model(config, envs, resume, trust)
+        if resume:
+            run_directory.note_session(resume, config)
+        else:
+            run_directory.create(directory, config, wrapper_json(probe), str(model.device))
+            stack.enter_context(run_directory.locked(directory))
+        training = Training(config, directory, model, probe, judges, listeners)
+        say(describe(config, model, probe, directory))
+        return training.run(found)
+
+
+@contextmanager
+def _said(directory: Path) -> Iterator[None]:
+    """What disks and processes do to a run, as UserErrors."""
+    try:
+        yield
+    except (EOFError, ConnectionError) as error:
+        raise UserError(
+            "the process of an environment died: killed, or out of memory; continue with "
+            f"esc-train --resume {directory}"
+        ) from error
+    except OSError as error:  # full, or not ours to write
+        raise UserError(
+            f"{error.filename or directory}: {error.strerror}; what was written before is whole; "
+            f"once that is mended, continue with esc-train --resume {directory}"
+        ) from error
+
+
+def _vectorised(config: TrainConfig) -> Iterator[VecEnv]:
+    """Environments to train in, and to evaluate in."""
+    yield vectorise(config, config.n_envs)
+    yield vectorise(config, min(config.n_envs, config.evaluation.episodes), evaluation=True)
+
+
+def _check_unfinished(config: TrainConfig, directory: Path) -> None:
+    found = checkpoint.in_order(directory / "checkpoints")
+    steps = int(found[-1].stem) if found else 0
+    if steps >= config.steps and (directory / "results.json").exists():
+        raise UserError(
+            f"{directory} has {steps:,} of {config.steps:,} steps already; ask for more with "
+            "--steps"
+        )
+
+
+def _model(
+    config: TrainConfig, envs: VecEnv, resume: Path | None, trust: bool
+) -> tuple[BaseAlgorithm, dict[str, Any] | None]:
+    """(a new model, None), or what ``checkpoint.restore`` makes of a run's newest checkpoint."""
+    state = newest_state(resume, trust) if resume else None
+    if state is None:
+        return new_model(config, envs), None
+    torch.set_num_threads(config.threads)
+    try:
+        return checkpoint.restore(state, ALGORITHMS[config.algo], envs)
+    except Exception as error:  # what unpickling old classes can raise is anybody's guess
+        raise UserError(
+            f"the checkpoint of {resume} does not load with the versions installed here (those of "
+            f"the run are in versions.json): {type(error).__name__}: {error}"
+        ) from error
+
+
+def newest_state(directory: Path, trust: bool) -> bytes | None:
+    """The newest whole checkpoint of a run; damaged ones are named. None before the first one."""
+    paths = checkpoint.in_order(directory / "checkpoints")
+    if not paths:
+        say(f"{directory} holds no checkpoint yet: it starts from the beginning")
+        return None
+    for path in reversed(paths):
+        try:
+            state = checkpoint.read(path, trust)
+        except checkpoint.Damaged as damaged:
+            say(f"{damaged}; the one before it is taken")
+            continue
+        say(f"Continuing from {path}")
+        return state
+    raise UserError(
+        f"{directory} holds no whole checkpoint; start it anew, in another directory, with the "
+        f"command in {directory / 'command.txt'}"
+    )
+
+
+class Training:
+    """A run from where ``model`` stands to its results."""
+
+    def __init__(
+        self, config: TrainConfig, directory: Path, model: BaseAlgorithm, probe: gym.Env,
+        judges: VecEnv, listeners: Sequence[BaseCallback],
+    ) -> None:  # fmt: skip
+        self.listeners = listeners
+        self.config, self.directory, self.model = config, directory, model
+        self.probe, self.judges = probe, judges
+        self.save_policy = partial(
+            save_policy, directory, model, config, extractor_arguments(config), wrapper_json(probe)
+        )
+
+    def run(self, found: dict[str, Any] | None) -> bool:
+        """Train, evaluate, write and print. found: of ``checkpoint.restore``, None at the start."""
+        config, directory, model = self.config, self.directory, self.model
+        with StopOnSignal() as stop:
+            self._learn(found, stop)
+            files.write_atomically(directory / "model.zip", model.save)
+            self.save_policy("policy")
+            results = self._results(stop)
+        run_directory.write_checksums(directory)
+        if stop.interrupted:
+            say(f"Stopped after {model.num_timesteps:,} steps; the model is saved.")
+            say(f"Continue with: esc-train --resume {directory}")
+            return False
+        files.write_json(directory / "results.json", as_rows(results))
+        run_directory.write_checksums(directory)
+        title = f"{config.env}, {config.repr}, {config.algo}, {model.num_timesteps:,} steps"
+        show(terminal(table(results), f"{title}; episodes: {config.evaluation.episodes}"))
+        say(f"Run directory: {directory}")
+        return True
+
+    def _learn(self, found: dict[str, Any] | None, stop: StopOnSignal) -> None:
+        config, model, directory = self.config, self.model, self.directory
+        begun = model.num_timesteps
+        tensorboard = TensorBoardOutputFormat(str(directory / "tensorboard"))
+        # Of what was logged between the checkpoint and the stop, TensorBoard shows nothing.
+        tensorboard.writer = SummaryWriter(str(directory / "tensorboard"), purge_step=begun + 1)
+        metrics = MetricsWriter(directory / "metrics.csv", begun)
+        model.set_logger(Logger(str(directory), [metrics, tensorboard]))
+        every = config.evaluation.every or max(1000, config.steps // 5)
+        evaluation = FixedSeedEvaluation(self.judges, seeds(config), every, directory)
+        evaluation.stopped = lambda: stop.interrupted
+        evaluation.save_best = partial(self.save_policy, "best_policy")
+        folder = directory / "checkpoints"
+        saved = Checkpoints(folder, config.checkpoint_every, lambda: stop.interrupted, say)
+        faults = Faults(config)
+        saved.callbacks = callbacks = [faults, DrivingLog(), evaluation, saved]
+        if found:
+            checkpoint.resume(model, found, callbacks)
+        try:
+            if begun < config.steps:
+                model.learn(
+                    config.steps - begun, callback=[*callbacks, *self.listeners],
+                    reset_num_timesteps=False, progress_bar=sys.stderr.isatty(),
+                )  # fmt: skip
+                model.logger.dump(model.num_timesteps)
+                saved.model = model
+                saved.save()
+        except Stopped:
+            pass
+        except ValueError:
+            faults.check_weights()  # if they are the reason, of which torch says only what it saw
+            raise
+        finally:
+            saved.writer.wait()
+            model.logger.close()
+
+    def _results(self, stop: StopOnSignal) -> dict[str, Summary]:
+        """The trained policy and the blind ones on the same episodes."""
+        config, judges = self.config, self.judges
+        names = action_names(self.probe)
+        space, seed = self.probe.action_space, config.evaluation.seed
+        blind = blind_policies(space, judges.num_envs, names, seed)
+        policies = {config.repr: model_policy(self.model), **blind}
+        results = {}
+        if not stop.interrupted:
+            say(f"Evaluating {config.repr} beside {len(blind)} blind policies ...")
+        for name, policy in policies.items():
+            if stop.interrupted:
+                break
+            episodes = evaluate(judges, policy, seeds(config), lambda: stop.interrupted)
+            if episodes:
+                results[name] = Summary.of(episodes)
+        return results

@@ -1,0 +1,44 @@
+"""The soak, short: every scenario, and that a fault is counted."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from esc_agents.cli.soak import command
+from esc_agents.proof import soak
+from esc_agents.proof.soak import cases
+from tests.esc_agents.tiny import tiny
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="measures memory as Linux does")
+
+
+def test_every_scenario_with_all_its_actions(tmp_path, capsys):
+    out = tmp_path / "docs" / "reliability.md"
+    count = len(cases())
+    assert command(["--steps", str(12 * count), "--out", str(out)]) == 0
+    text = out.read_text()
+    assert f"{12 * count:,} steps" in text
+    assert text.count("| 12 |") == count
+    assert {name for name, _ in cases()} <= set(text.replace("|", " ").split())
+    assert capsys.readouterr().out.endswith("in one process.\n")
+
+
+def test_faults_are_counted_and_named(monkeypatch):
+    def broken(self, action):
+        raise ZeroDivisionError("a custom road")
+
+    monkeypatch.setattr("esc_gym.observation.SetObservation.step", broken)
+    result = soak.soak("highway-fast", tiny(), 3, 0)
+    assert result.faults == ["episode 0, step 1: ZeroDivisionError: a custom road"] * 3
+    assert (result.steps, result.episodes) == (3, 3)
+    assert "ZeroDivisionError: a custom road" in soak.text([result], 3, 0, Path("soak.md"))
+
+
+def test_observations_outside_their_space_are_faults(monkeypatch):
+    monkeypatch.setattr("gymnasium.spaces.Dict.contains", lambda self, x: False)
+    result = soak.soak("highway-fast", tiny(), 2, 0)
+    assert result.faults[0] == "step 1: an observation outside its space"
+    assert len(result.faults) == 2
