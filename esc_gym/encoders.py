@@ -20,6 +20,17 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from esc_gym.sets import (
+    all_real,
+    is_all_real,
+    leading,
+    ordering,
+    pack,
+    segment_max,
+    segment_sum,
+    take,
+)
+
 Sort = Literal["distance", "lexicographic"]
 DEFAULT_HIDDEN = (128, 128)
 
@@ -71,7 +82,7 @@ class SetEncoder(nn.Module):
         and CUDA graphs can be used.
         """
         self._check(vehicles, mask, ego)
-        real = _all_real(vehicles) if mask is None else mask != 0
+        real = all_real(vehicles) if mask is None else mask != 0
         return torch.cat([self.scale * self.encode(vehicles, real, ego), ego], dim=1)
 
     def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
@@ -114,41 +125,6 @@ def hidden_layers(inputs: int, hidden: Sequence[int]) -> nn.Sequential:
     return layers
 
 
-def _all_real(vehicles: Tensor) -> Tensor:
-    """The mask of sets without padding: one number, repeated without being stored [B, N]."""
-    return torch.ones((), dtype=torch.bool, device=vehicles.device).expand(vehicles.shape[:2])
-
-
-def _is_all_real(mask: Tensor) -> bool:
-    """Whether a mask is that of ``_all_real``, which is known without looking at its values."""
-    return mask.stride() == (0, 0)
-
-
-def _pack(vehicles: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """All real rows of a batch [sum M, d1], and the set that each belongs to [sum M].
-
-    Padding is left out before it is computed: cheaper, and nothing in it can leak.
-    """
-    if _is_all_real(mask):
-        sets = torch.arange(len(vehicles), device=vehicles.device)
-        return vehicles.flatten(0, 1), sets.repeat_interleave(vehicles.shape[1])
-    owner, row = mask.nonzero(as_tuple=True)
-    return vehicles[owner, row], owner
-
-
-def _segment_sum(values: Tensor, owner: Tensor, size: int) -> Tensor:
-    """values [sum M, ...] summed by owner -> [size, ...]; sets without rows get 0."""
-    # As fast in forward + backward as segment_reduce, CSR and embedding_bag, and the simplest.
-    return values.new_zeros(size, *values.shape[1:]).index_add_(0, owner, values)
-
-
-def _segment_max(values: Tensor, owner: Tensor, size: int) -> Tensor:
-    """values [sum M, k], largest by owner -> [size, k]; sets without rows get 0."""
-    index = owner[:, None].expand_as(values)
-    zeros = values.new_zeros(size, values.shape[1])
-    return zeros.scatter_reduce(0, index, values, "amax", include_self=False)
-
-
 class _PooledEncoder(SetEncoder):
     """A feature network h, applied to each vehicle: hidden layers with GELU, linear output."""
 
@@ -159,11 +135,11 @@ class _PooledEncoder(SetEncoder):
 
     def _sum(self, vehicles: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """sum_i mask_i h(x_i) [B, d3], and M as floats [B, 1]."""
-        if _is_all_real(mask):
+        if is_all_real(mask):
             activations = self.layers(vehicles).sum(dim=1)
         else:
-            rows, owner = _pack(vehicles, mask)
-            activations = _segment_sum(self.layers(rows), owner, len(mask))
+            rows, owner = pack(vehicles, mask)
+            activations = segment_sum(self.layers(rows), owner, len(mask))
         count = mask.sum(dim=1, keepdim=True).to(vehicles.dtype)
         # The linear output layer commutes with the sum: sum_i (W a_i + b) = W sum_i a_i + M b.
         return functional.linear(activations, self.output.weight) + count * self.output.bias, count
@@ -197,8 +173,8 @@ class MaxEncoder(_PooledEncoder):
     """Element-wise maximum of h over the vehicles, 0 for none."""
 
     def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
-        rows, owner = _pack(vehicles, mask)
-        return _segment_max(self.output(self.layers(rows)), owner, len(mask))
+        rows, owner = pack(vehicles, mask)
+        return segment_max(self.output(self.layers(rows)), owner, len(mask))
 
 
 class AttentionEncoder(SetEncoder):
@@ -218,15 +194,15 @@ class AttentionEncoder(SetEncoder):
         self.output = nn.Linear(total, self.code_dim)
 
     def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
-        rows, owner = _pack(vehicles, mask)
+        rows, owner = pack(vehicles, mask)
         answers = self.key_value(self.layers(rows)).view(-1, 2, self.heads, self.width)
         key, value = answers.unbind(dim=1)  # [sum M, heads, width] each
         query = self.query(ego).view(-1, self.heads, self.width)
         score = (query[owner] * key).sum(dim=2) / math.sqrt(self.width)
         # Softmax within each set; subtracting its largest score changes no weight, only overflow.
-        weight = (score - _segment_max(score.detach(), owner, len(mask))[owner]).exp()
-        weight = weight / _segment_sum(weight, owner, len(mask))[owner]
-        answer = _segment_sum(weight[:, :, None] * value, owner, len(mask))
+        weight = (score - segment_max(score.detach(), owner, len(mask))[owner]).exp()
+        weight = weight / segment_sum(weight, owner, len(mask))[owner]
+        answer = segment_sum(weight[:, :, None] * value, owner, len(mask))
         return self.output(answer.flatten(1)) * mask.any(dim=1, keepdim=True)
 
 
@@ -290,14 +266,14 @@ class APEncoder(SetEncoder):
             )
         table = self.arrange(vehicles, mask)[:, : self.slots]
         table = functional.pad(table, (0, 0, 0, self.slots - table.shape[1]))
-        table = torch.where(_leading(mask, self.slots)[:, :, None], table, self.virtual)
+        table = torch.where(leading(mask, self.slots)[:, :, None], table, self.virtual)
         return self.output(self.layers(table.flatten(1)))
 
     def arrange(self, vehicles: Tensor, mask: Tensor) -> Tensor:
         """The real rows in the order in which they take the slots, then padding: [B, k, d1]."""
-        if _is_all_real(mask):
+        if is_all_real(mask):
             return vehicles
-        return _take(vehicles, _order(torch.zeros_like(vehicles[:, :, 0]), mask))
+        return take(vehicles, ordering(torch.zeros_like(vehicles[:, :, 0]), mask))
 
 
 class FPEncoder(APEncoder):
@@ -320,28 +296,13 @@ class FPEncoder(APEncoder):
 
     def arrange(self, vehicles: Tensor, mask: Tensor) -> Tensor:
         offset = (vehicles[:, :, self.position] - self.center) / self.reach
-        order = _order(offset.square().sum(dim=2), mask)[:, : self.slots]
+        order = ordering(offset.square().sum(dim=2), mask)[:, : self.slots]
         if self.sort == "lexicographic":
-            real = _leading(mask, order.shape[1])
+            real = leading(mask, order.shape[1])
             for column in reversed(range(self.vehicle_dim)):
                 key = vehicles[:, :, column].gather(1, order)
-                order = order.gather(1, _order(key, real))
-        return _take(vehicles, order)
-
-
-def _leading(mask: Tensor, size: int) -> Tensor:
-    """[B, size], true in the first M places of each set."""
-    return torch.arange(size, device=mask.device) < mask.sum(dim=1, keepdim=True)
-
-
-def _order(key: Tensor, mask: Tensor) -> Tensor:
-    """Rows [B, N] by increasing key [B, N], padding last; stable, so ties keep their order."""
-    return key.masked_fill(~mask, math.inf).argsort(dim=1, stable=True)
-
-
-def _take(rows: Tensor, order: Tensor) -> Tensor:
-    """rows [B, N, d1] in an order [B, k] -> [B, k, d1]."""
-    return rows.gather(1, order[:, :, None].expand(-1, -1, rows.shape[2]))
+                order = order.gather(1, ordering(key, real))
+        return take(vehicles, order)
 
 
 REPRESENTATIONS: dict[str, type[SetEncoder]] = {

@@ -116,6 +116,8 @@ class PPOConfig(Model):
     """Stable-Baselines3 PPO."""
 
     learning_rate: PositiveFloat = 5e-4
+    learning_rate_schedule: Literal["constant", "linear"] = "constant"
+    """linear: the rate falls from `learning_rate` at the first step to 0 at the last."""
     n_steps: Annotated[int, Field(ge=2)] = 64
     """Steps per environment in one rollout."""
     batch_size: Annotated[int, Field(ge=2)] = 256

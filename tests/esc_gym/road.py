@@ -34,3 +34,8 @@ def assert_same_set(rows, expected, atol=1e-3):
         best = int(np.argmin(errors))
         assert errors[best] < atol, (row, left)
         del left[best]
+
+
+def observe(env):
+    """What a wrapped environment observes now."""
+    return env.unwrapped.observation_type.observe()

@@ -13,7 +13,6 @@ from torch.func import functional_call, stack_module_state, vmap
 
 from esc_gym.encoders import (
     REPRESENTATIONS,
-    APEncoder,
     AttentionEncoder,
     ESCEncoder,
     FPEncoder,
@@ -22,28 +21,7 @@ from esc_gym.encoders import (
     SetEncoder,
     representation,
 )
-from esc_gym.matching import matched_hidden, parameter_count
-
-D1, D2, N = 3, 2, 6
-DIMS: dict[str, Any] = {"vehicle_dim": D1, "ego_dim": D2, "max_vehicles": N, "hidden": (16, 8)}
-NAMES = sorted(REPRESENTATIONS)
-POOLING = [name for name in NAMES if not issubclass(REPRESENTATIONS[name], APEncoder)]
-TOLERANCE: Any = {"rtol": 1e-5, "atol": 1e-5}
-scenes = st.tuples(st.integers(0, 2**31), st.lists(st.integers(0, N), min_size=1, max_size=5))
-
-
-def build(name: str, **kwargs) -> Any:
-    torch.manual_seed(0)
-    return REPRESENTATIONS[name](**{**DIMS, **kwargs})
-
-
-def scene(counts: list[int], seed: int = 0, rows: int = N) -> tuple[Tensor, Tensor, Tensor]:
-    """Random sets of the given sizes: vehicles [B, rows, D1] with zero padding, mask, ego."""
-    random = torch.Generator().manual_seed(seed)
-    mask = torch.arange(rows) < torch.tensor(counts, dtype=torch.long)[:, None]
-    vehicles = torch.rand(len(counts), rows, D1, generator=random) * 2 - 1
-    ego = torch.rand(len(counts), D2, generator=random)
-    return vehicles * mask[:, :, None], mask.to(torch.int8), ego
+from tests.esc_gym.encoding import D1, D2, DIMS, NAMES, POOLING, TOLERANCE, N, build, scene, scenes
 
 
 def h(encoder: Any, row: Tensor) -> Tensor:
@@ -219,162 +197,6 @@ def test_d3_rule_warns_once_with_the_number_needed():
 
 
 # -- fp and ap ------------------------------------------------------------------------------------
-
-
-def table(encoder: Any, rows: list[list[float]]) -> Tensor:
-    """Code of one set, given as the list of rows that the network should see."""
-    return encoder.output(encoder.layers(torch.tensor(rows).flatten()))
-
-
-def code(encoder: Any, rows: list[list[float]], count: int) -> Tensor:
-    mask = (torch.arange(len(rows)) < count)[None]
-    return encoder(torch.tensor(rows)[None], mask, torch.zeros(1, D2))[0, :-D2]
-
-
-NEAR, MIDDLE, FAR = [-0.1, 0.2, 5.0], [0.0, -0.4, 1.0], [0.9, 0.0, 3.0]
-JUNK, VIRTUAL = [0.01, 0.01, 9.0], [1.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize(
-    ("name", "sort", "seen"),
-    [
-        ("ap", {}, [FAR, NEAR, MIDDLE]),
-        ("fp", {}, [NEAR, MIDDLE, FAR]),
-        ("fp", {"sort": "lexicographic"}, [NEAR, MIDDLE, FAR]),
-    ],
-)
-def test_rows_take_the_slots_in_the_declared_order(name, sort, seen):
-    encoder = build(name, max_vehicles=5, **sort)
-    given_rows = [FAR, NEAR, MIDDLE, JUNK, JUNK]
-    torch.testing.assert_close(
-        code(encoder, given_rows, 3), table(encoder, [*seen, VIRTUAL, VIRTUAL])
-    )
-
-
-def test_lexicographic_order_compares_later_columns_on_ties():
-    a, b, c, d = [0.2, -0.5, 1.0], [0.2, 0.1, -2.0], [0.2, 0.1, 0.0], [-0.9, 0.9, 0.9]
-    encoder = build("fp", max_vehicles=4, sort="lexicographic")
-    torch.testing.assert_close(code(encoder, [c, b, d, a], 4), table(encoder, [d, a, b, c]))
-
-
-def test_equal_distances_keep_the_order_given():
-    rows = [[0.5, 0.25 * (-1) ** i, float(i)] for i in range(40)]
-    encoder = build("fp", max_vehicles=len(rows))
-    for order in (rows, rows[::-1]):
-        torch.testing.assert_close(code(encoder, order, len(rows)), table(encoder, order))
-
-
-def test_distance_is_metric_whatever_the_scale_of_the_columns():
-    # 200 m are 1 in x and 10 in y: 60 m ahead is nearer than 80 m to the side, 0.3 < 4.0.
-    ahead, beside, behind = [0.3, 0.0, 1.0], [0.0, 4.0, 2.0], [-0.1, 0.0, 3.0]
-    metric = build("fp", max_vehicles=3, high=[1.0, 10.0, 1.0])
-    torch.testing.assert_close(
-        code(metric, [beside, ahead, behind], 3), table(metric, [behind, ahead, beside])
-    )
-    near_side = [0.0, 2.0, 2.0]  # 40 m to the side, nearer than 60 m ahead though 2.0 > 0.3
-    torch.testing.assert_close(
-        code(metric, [ahead, near_side, behind], 3), table(metric, [behind, near_side, ahead])
-    )
-
-
-def test_columns_scaled_off_center():
-    # x scaled by the range (0, 200): -1 is 0 m, 1 is 200 m, -3 is 200 m behind; virtual is at 1.
-    encoder = build("fp", max_vehicles=3, low=[-3.0, -1.0, -1.0], high=[1.0, 1.0, 1.0])
-    close, further = [-1.1, 0.0, 0.0], [0.0, 0.0, 0.0]  # 10 m behind, 100 m ahead
-    torch.testing.assert_close(
-        code(encoder, [further, close, JUNK], 2), table(encoder, [close, further, VIRTUAL])
-    )
-
-
-def test_position_columns_may_be_elsewhere():
-    encoder = build("fp", max_vehicles=2, position=(2, 0), high=[2.0, 1.0, 3.0])
-    close, further = [0.0, 1.0, 0.3], [0.0, 0.0, -0.9]
-    torch.testing.assert_close(code(encoder, [further, close], 2), table(encoder, [close, further]))
-    torch.testing.assert_close(
-        code(encoder, [close, further], 0), table(encoder, [[0.0, 0.0, 3.0]] * 2)
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "sort", "seen"),
-    [
-        ("ap", {}, [FAR, NEAR]),
-        ("fp", {}, [NEAR, MIDDLE]),
-        ("fp", {"sort": "lexicographic"}, [NEAR, MIDDLE]),
-    ],
-)
-def test_slots_keep_the_first_in_order_and_take_any_number_of_rows(name, sort, seen):
-    encoder = build(name, slots=2, **sort)
-    torch.testing.assert_close(code(encoder, [FAR, NEAR, MIDDLE, JUNK], 3), table(encoder, seen))
-    torch.testing.assert_close(code(encoder, [NEAR], 1), table(encoder, [NEAR, VIRTUAL]))
-
-
-def test_lexicographic_slots_go_to_the_nearest():
-    encoder = build("fp", slots=2, sort="lexicographic")
-    far_left = [-0.95, 0.0, 0.0]
-    torch.testing.assert_close(
-        code(encoder, [far_left, MIDDLE, NEAR], 3), table(encoder, [NEAR, MIDDLE])
-    )
-
-
-@pytest.mark.parametrize("name", ["ap", "fp"])
-def test_another_number_of_rows_is_refused(name):
-    with pytest.raises(ValueError, match=r"expected 6 rows, as built, got 24; pass slots=Z"):
-        build(name)(*scene([3], rows=4 * N))
-
-
-# -- parameter counts -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("d1", "d2", "n", "hidden", "code_dim"),
-    [(7, 9, 50, (128, 128), None), (7, 9, 50, (256, 256), None), (5, 12, 20, (64, 64), None),
-     (7, 9, 15, (128, 64, 32), None), (5, 10, 20, (256,) * 5, 101), (6, 4, 8, (96,), 49)],
-)  # fmt: skip
-@pytest.mark.parametrize("name", NAMES)
-def test_parameter_counts_match_within_5_percent(name, d1, d2, n, hidden, code_dim):
-    dims: dict[str, Any] = {
-        "vehicle_dim": d1,
-        "ego_dim": d2,
-        "max_vehicles": n,
-        "code_dim": code_dim,
-    }
-    esc = parameter_count(ESCEncoder(**dims, hidden=hidden))
-    widths = matched_hidden(name, **dims, hidden=hidden)
-    count = parameter_count(REPRESENTATIONS[name](**dims, hidden=widths))
-    assert abs(count - esc) <= 0.05 * esc
-    assert len(widths) == len(hidden)
-    assert (
-        max(abs(w / widths[0] - v / hidden[0]) for w, v in zip(widths, hidden, strict=True)) < 0.05
-    )
-    if name == "esc":
-        assert widths == hidden
-
-
-def test_parameter_count_is_that_of_the_formula():
-    esc = build("esc")
-    assert parameter_count(esc) == (3 * 16 + 16) + (16 * 8 + 8) + (8 * 19 + 19)
-    esc.output.bias.requires_grad_(False)
-    assert parameter_count(esc) == (3 * 16 + 16) + (16 * 8 + 8) + 8 * 19
-
-
-def test_matching_draws_no_random_numbers():
-    state = torch.get_rng_state()
-    matched_hidden("fp", vehicle_dim=7, ego_dim=9, max_vehicles=50)
-    assert torch.equal(state, torch.get_rng_state())
-
-
-def test_matching_out_of_reach_warns():
-    # One unit of fp with 50 vehicles already has more parameters than this ESC.
-    dims: dict[str, Any] = {"vehicle_dim": 7, "ego_dim": 9, "max_vehicles": 50, "hidden": (2,)}
-    dims["code_dim"] = 10
-    with pytest.warns(UserWarning, match="Theorem 1"):
-        assert parameter_count(ESCEncoder(**dims)) == 16 + 30
-    with pytest.warns(UserWarning, match="more than 5 % off"):
-        assert matched_hidden("fp", **dims) == (1,)
-
-
-# -- errors and registry --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import copy
 import doctest
-import math
 import pickle
-import subprocess
-import sys
 
 import gymnasium as gym
 import highway_env  # noqa: F401
@@ -15,13 +12,11 @@ import numpy as np
 import pytest
 from highway_env.envs.common.observation import observation_factory
 from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, Obstacle
 
 import esc_gym
 from esc_gym import SetObservation
-from esc_gym.features import DEFAULT_FEATURES, EGO_FEATURES, VEHICLE_FEATURES
-from tests.esc_gym.road import assert_same_set, expected_set
+from tests.esc_gym.road import assert_same_set, expected_set, observe
 
 
 def place(env, x=20.0, y=0.0, speed=0.0, heading=0.0, cls=IDMVehicle):
@@ -35,10 +30,6 @@ def place(env, x=20.0, y=0.0, speed=0.0, heading=0.0, cls=IDMVehicle):
 def alone(env):
     env.unwrapped.road.vehicles[:] = [env.unwrapped.vehicle]
     env.unwrapped.road.objects.clear()
-
-
-def observe(env):
-    return env.unwrapped.observation_type.observe()
 
 
 @pytest.fixture
@@ -234,118 +225,6 @@ def test_decode_batches(env):
     assert not decode(observation)["vehicles"][observation["mask"] == 0].any()
 
 
-@pytest.mark.parametrize("name", sorted(EGO_FEATURES))
-def test_every_ego_feature_is_served_by_some_environment(name):
-    base_id = {"goal": "parking-v0", "exit": "exit-v0", "ref": "lane-keeping-v0"}.get(
-        name.split("_")[0], "intersection-v0"
-    )
-    env = gym.make(f"esc_gym/{base_id}", ego_features=[name])
-    observation, _ = env.reset(seed=1)
-    assert observation["ego"].shape == (1,)
-    assert abs(observation["ego"][0]) <= 1
-
-
-def test_ego_features_against_the_simulator():
-    env = gym.make("esc_gym/intersection-v0", frame="ego")
-    env.reset(seed=3)
-    env.step(2)
-    ego, road = env.unwrapped.vehicle, env.unwrapped.road
-    values = dict(
-        zip(
-            env.get_wrapper_attr("set_spec").ego_features,
-            env.get_wrapper_attr("decode")(observe(env))["ego"],
-            strict=True,
-        )
-    )
-    _, lateral, angle = ego.lane_offset
-    to_destination = ego.destination - ego.position
-    along = np.array([math.cos(ego.heading), math.sin(ego.heading)])
-    expected = {
-        "speed": ego.speed,
-        "lat_off": lateral,
-        "cos_lane": math.cos(angle),
-        "sin_lane": math.sin(angle),
-        "lanes_left": ego.lane_index[2],
-        "lanes_right": len(road.network.all_side_lanes(ego.lane_index)) - 1 - ego.lane_index[2],
-        "speed_limit": ego.lane.speed_limit,
-        "target_speed": ego.target_speed,
-        "dest_x": along @ to_destination,
-        "dest_y": along[0] * to_destination[1] - along[1] * to_destination[0],
-    }
-    for name, value in expected.items():
-        assert values[name] == pytest.approx(value, abs=1e-4), name
-
-
-def test_extra_vehicle_features():
-    features = ["obstacle", "width", "y", "cos_d", "sin_d", "length"]
-    env = gym.make("esc_gym/intersection-v0", features=features, frame="world")
-    observation, info = env.reset(seed=0)
-    rows = env.get_wrapper_attr("decode")(observation)["vehicles"][: info["set"]["count"]]
-    others = [v for v in env.unwrapped.road.vehicles if v is not env.unwrapped.vehicle]
-    for row, other in zip(rows, others, strict=True):
-        direction = other.destination_direction
-        offset = other.position[1] - env.unwrapped.vehicle.position[1]
-        assert row == pytest.approx([0, 2, offset, *direction, 5], abs=1e-4)
-    assert observation in env.observation_space
-
-
-def test_trajectories_are_highway_envs_own():
-    """The wrapper changes what is observed, nothing else: rewards, flags, generator, positions."""
-    for base_id in ("highway-fast-v0", "intersection-v0", "parking-v0", "lane-keeping-v0"):
-        stock = gym.make(base_id)
-        # The order draws random numbers, but never the simulator's.
-        ours = gym.make(f"esc_gym/{base_id}", order="shuffled")
-        stock.reset(seed=4)
-        ours.reset(seed=4)
-        # Stock observations of lane keeping draw noise from the simulator's generator; ours do not.
-        compare_generator = base_id != "lane-keeping-v0"
-        for _ in range(8):
-            ours.action_space.seed(1)
-            action = ours.action_space.sample()
-            _, reward, terminated, truncated, _ = stock.step(action)
-            _, *mine, _ = ours.step(action)
-            assert mine == [reward, terminated, truncated]
-            for a, b in zip(
-                stock.unwrapped.road.vehicles, ours.unwrapped.road.vehicles, strict=True
-            ):
-                assert (a.position == b.position).all()
-                assert (a.speed, a.heading) == (b.speed, b.heading)
-            if compare_generator:
-                assert (
-                    stock.unwrapped.np_random.bit_generator.state
-                    == ours.unwrapped.np_random.bit_generator.state
-                )
-            if terminated:
-                break
-
-
-def test_the_stock_observation_is_never_computed(monkeypatch):
-    from highway_env.envs.common import observation
-
-    def paid(self):
-        raise AssertionError("pandas observation computed")
-
-    envs = [gym.make(f"esc_gym/{i}") for i in ("highway-fast-v0", "exit-v0", "parking-v0")]
-    monkeypatch.setattr(observation.KinematicObservation, "observe", paid)
-    monkeypatch.setattr(observation.ExitObservation, "observe", paid)
-    monkeypatch.setattr(observation.KinematicsGoalObservation, "observe", paid)
-    for env in envs:
-        env.reset(seed=0)
-        env.step(env.action_space.sample())
-
-
-def test_parking_goal_observation_equals_stock_bit_for_bit():
-    env = gym.make("esc_gym/parking-v0")
-    env.reset(seed=0)
-    env.step(np.array([0.3, 0.2], dtype=np.float32))
-    base = env.unwrapped
-    stock = observation_factory(base, base.PARKING_OBS["observation"]).observe()
-    mine = base.observation_type_parking.observe()
-    assert stock.keys() == mine.keys()
-    for key, value in stock.items():
-        assert (value == mine[key]).all()
-
-
 def rollout(env, steps=3, seed=None):
     observations = []
     for _ in range(steps):
@@ -452,23 +331,5 @@ def test_wrong_environments():
         SetObservation(flat)
 
 
-def test_import_loads_neither_torch_nor_sb3():
-    code = (
-        "import sys, esc_gym; heavy = {'torch', 'stable_baselines3', 'numba'} & set(sys.modules); "
-        "assert not heavy, heavy; import esc_gym.extractors; assert 'torch' in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
 def test_the_example_in_the_docstring():
     assert doctest.testmod(esc_gym.observation).failed == 0
-
-
-def test_table_of_contents():
-    assert set(esc_gym.__all__) <= set(dir(esc_gym))
-    for name in esc_gym.__all__:
-        assert getattr(esc_gym, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        _ = esc_gym.nothing
-    assert set(DEFAULT_FEATURES) <= set(VEHICLE_FEATURES)
-    assert Vehicle.MAX_SPEED == 40.0  # the tables were read off this highway-env

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogFormatter, StrMethodFormatter
 from esc_agents.paper.cells import TEST_SIZES, overtaking
 from esc_agents.paper.results import Result
 from esc_agents.paper.samples import Samples
-from esc_agents.paper.table import (
+from esc_agents.paper.side_by_side import (
     Column,
     Table,
     column_of,

@@ -13,7 +13,7 @@ from esc_agents.errors import UserError, say
 from esc_agents.paper import figures
 from esc_agents.paper.cells import CODE_DIM, INIT, overtaking
 from esc_agents.paper.results import Result, read_file
-from esc_agents.paper.table import (
+from esc_agents.paper.side_by_side import (
     Table,
     as_csv,
     columns_of,

@@ -35,7 +35,7 @@ from esc_agents.driving.environments import env_config
 from esc_agents.driving.vectorised import vectorise
 from esc_agents.errors import UserError, say
 from esc_agents.reporting.tables import markdown, show, terminal
-from esc_agents.training.models import new_model
+from esc_agents.training.models import OURS, new_model
 from esc_gym import fastsim
 from esc_gym.fastsim.behavior import original_behavior
 from esc_gym.registration import HIGHWAY_ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
@@ -269,7 +269,7 @@ def training(config: TrainConfig, seconds: float) -> list[str]:
     ours = new_model(config, vectorise(config, config.n_envs))
     stock_env = partial(_stock_env, config.env, env_config(config))
     envs: Any = type(ours.env)([stock_env] * config.n_envs)  # type: ignore[call-arg]
-    ppo = config.ppo.model_dump(exclude={"net_arch", "ortho_init"})
+    ppo = config.ppo.model_dump(exclude=OURS)
     ppo["n_steps"] = -(-config.ppo.batch_size // config.n_envs)  # see TRAINING_TEXT
     policy = {"net_arch": list(config.ppo.net_arch), "ortho_init": config.ppo.ortho_init}
     given = {"policy_kwargs": policy, "seed": config.seed, "device": config.device}

@@ -14,7 +14,7 @@ from esc_agents.paper.cells import Cell, overtaking
 from esc_agents.paper.experiment import STUDIES, study
 from esc_agents.paper.report import report
 from esc_agents.paper.results import path_of, write
-from esc_agents.paper.table import entries
+from esc_agents.paper.side_by_side import entries
 from tests.esc_agents.paper.finished import result
 
 FIGURES = {"bars", "curves-1", "places-1", "truncation-1", "code-dim-1"}

@@ -5,20 +5,14 @@ Each must be simulated exactly, compiled or not: whatever the kernels cannot kno
 
 from __future__ import annotations
 
-import copy
-import pickle
 from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from highway_env.envs.exit_env import ExitEnv
-from highway_env.envs.highway_env import HighwayEnvFast
-from highway_env.envs.intersection_env import IntersectionEnv
-from highway_env.envs.u_turn_env import UTurnEnv
 from highway_env.road.lane import StraightLane
 from highway_env.road.regulation import RegulatedRoad
-from highway_env.road.road import Road, RoadNetwork
+from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
@@ -26,7 +20,7 @@ from highway_env.vehicle.objects import Obstacle
 import esc_gym
 from esc_gym import SetObservation
 from tests.esc_gym.fastsim.lockstep import crashed, happened, lockstep
-from tests.esc_gym.fastsim.test_scenes import Scene, ordinary_traffic, others
+from tests.esc_gym.fastsim.test_scenes import others
 
 
 class Meddler(gym.Wrapper):
@@ -210,131 +204,10 @@ def test_classes_that_change_between_steps(monkeypatch):
     assert str(changed) != str(lockstep(make, steps=6, seeds=[1]))
 
 
-class Sleepy(IDMVehicle):
-    """Overrides what the kernels compute."""
-
-    def desired_gap(self, ego_vehicle, front_vehicle=None, projected=True):
-        return 2 * super().desired_gap(ego_vehicle, front_vehicle, projected)
-
-
-class Named(IDMVehicle):
-    """Overrides nothing that they compute."""
-
-    TIME_WANTED = 2.5
-
-    def __str__(self):
-        return "Named"
-
-
-class Icy(Road):
-    def step(self, dt):
-        super().step(1.01 * dt)
-
-
-class Banked(StraightLane):
-    def heading_at(self, longitudinal):
-        return self.heading + 1e-3
-
-
-def traffic_of(cls):
-    def change(env):
-        env.road.vehicles[1:] = [cls.create_from(vehicle) for vehicle in others(env)]
-
-    return ordinary_traffic(change)
-
-
-def on_road_of(cls):
-    def change(env):
-        road = env.road
-        env.road = cls(road.network, road.vehicles, road.objects, np_random=env.np_random)
-        for vehicle in road.vehicles:
-            vehicle.road = env.road
-
-    return ordinary_traffic(change)
-
-
-def banked(env):
-    lane = env.road.network.get_lane(("0", "1", 1))
-    env.road.network.graph["0"]["1"][1] = Banked(lane.start, lane.end, speed_limit=30)
-    for vehicle in env.road.vehicles:
-        vehicle.on_state_update()
-
-
-@pytest.mark.parametrize(
-    ("build", "compiled"),
-    [
-        (traffic_of(Sleepy), False),
-        (traffic_of(Named), True),
-        (on_road_of(Icy), False),
-        (ordinary_traffic(banked), False),
-        (ordinary_traffic(method_of_one), False),
-    ],
-    ids=["vehicle", "harmless vehicle", "road", "lane", "method"],
-)
-def test_classes_of_their_own(build, compiled):
-    lockstep(partial(Scene, build), steps=5, compiled=compiled)
-
-
-class SlowMotion(HighwayEnvFast):
-    def _simulate(self, action=None):
-        super()._simulate(action)
-        super()._simulate(None)
-
-
-def test_simulate_of_their_own():
-    lockstep(SlowMotion, steps=4, compiled=False)
-
-
 def test_trajectories_are_recorded():
     config = {"show_trajectories": True}
     recording = lockstep(partial(gym.make, "merge-v0", config=config), steps=4, compiled=False)
     assert happened(recording, lambda thing: thing.get("history"))
-
-
-class Planner(gym.Wrapper):
-    """Continues on a copy of the environment, as tree search does."""
-
-    def __init__(self, env, fork):
-        super().__init__(env)
-        self.fork = fork
-
-    def step(self, action):
-        before = self.env
-        self.env = self.fork(before)
-        before.step(action)  # the original must not share anything with the copy
-        return self.env.step(action)
-
-
-FORKS = {
-    "copy": copy.deepcopy,
-    "simplify": lambda env: env.simplify(),
-    "aggressive": lambda env: env.change_vehicles("highway_env.vehicle.behavior.AggressiveVehicle"),
-    "lane": lambda env: env.set_preferred_lane(1),
-    "randomize": lambda env: env.randomize_behavior(),
-    "field": lambda env: env.set_vehicle_field(("speed", 9.5)),
-    "route": lambda env: env.set_route_at_intersection("random"),
-}
-
-
-@pytest.mark.parametrize("cls", [UTurnEnv, IntersectionEnv])
-@pytest.mark.parametrize("name", FORKS)
-def test_planning_on_copies(name, cls):
-    if name == "lane" and cls is IntersectionEnv:
-        cls = ExitEnv  # highway-env sends vehicles to lanes that an intersection does not have
-    lockstep(lambda: Planner(cls(), FORKS[name]), steps=4, seeds=[1], compiled=None)
-
-
-class Reloaded(gym.Wrapper):
-    """Goes on with what pickle makes of the environment."""
-
-    def step(self, action):
-        self.env = pickle.loads(pickle.dumps(self.env))
-        return self.env.step(action)
-
-
-@pytest.mark.parametrize("id", ["highway-fast-v0", "intersection-v1", "parking-v0"])
-def test_unpickled_environments_stay_compiled(id):
-    lockstep(lambda: Reloaded(gym.make(id)), steps=6)
 
 
 def test_two_at_once():

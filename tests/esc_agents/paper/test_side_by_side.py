@@ -7,7 +7,7 @@ import csv
 import numpy as np
 import pytest
 
-from esc_agents.paper.table import as_csv, entries, published, ratios, roots, rows, savings
+from esc_agents.paper.side_by_side import as_csv, entries, published, ratios, roots, rows, savings
 from tests.esc_agents.paper.finished import result
 
 ESC, FP, AP = ("esc", "fixed"), ("fp", "fixed"), ("ap", "fixed")

@@ -1,0 +1,68 @@
+"""Every feature against an independent reading of the simulator."""
+
+from __future__ import annotations
+
+import math
+
+import gymnasium as gym
+import highway_env  # noqa: F401
+import numpy as np
+import pytest
+
+from esc_gym.features import EGO_FEATURES
+from tests.esc_gym.road import observe
+
+
+@pytest.mark.parametrize("name", sorted(EGO_FEATURES))
+def test_every_ego_feature_is_served_by_some_environment(name):
+    base_id = {"goal": "parking-v0", "exit": "exit-v0", "ref": "lane-keeping-v0"}.get(
+        name.split("_")[0], "intersection-v0"
+    )
+    env = gym.make(f"esc_gym/{base_id}", ego_features=[name])
+    observation, _ = env.reset(seed=1)
+    assert observation["ego"].shape == (1,)
+    assert abs(observation["ego"][0]) <= 1
+
+
+def test_ego_features_against_the_simulator():
+    env = gym.make("esc_gym/intersection-v0", frame="ego")
+    env.reset(seed=3)
+    env.step(2)
+    ego, road = env.unwrapped.vehicle, env.unwrapped.road
+    values = dict(
+        zip(
+            env.get_wrapper_attr("set_spec").ego_features,
+            env.get_wrapper_attr("decode")(observe(env))["ego"],
+            strict=True,
+        )
+    )
+    _, lateral, angle = ego.lane_offset
+    to_destination = ego.destination - ego.position
+    along = np.array([math.cos(ego.heading), math.sin(ego.heading)])
+    expected = {
+        "speed": ego.speed,
+        "lat_off": lateral,
+        "cos_lane": math.cos(angle),
+        "sin_lane": math.sin(angle),
+        "lanes_left": ego.lane_index[2],
+        "lanes_right": len(road.network.all_side_lanes(ego.lane_index)) - 1 - ego.lane_index[2],
+        "speed_limit": ego.lane.speed_limit,
+        "target_speed": ego.target_speed,
+        "dest_x": along @ to_destination,
+        "dest_y": along[0] * to_destination[1] - along[1] * to_destination[0],
+    }
+    for name, value in expected.items():
+        assert values[name] == pytest.approx(value, abs=1e-4), name
+
+
+def test_extra_vehicle_features():
+    features = ["obstacle", "width", "y", "cos_d", "sin_d", "length"]
+    env = gym.make("esc_gym/intersection-v0", features=features, frame="world")
+    observation, info = env.reset(seed=0)
+    rows = env.get_wrapper_attr("decode")(observation)["vehicles"][: info["set"]["count"]]
+    others = [v for v in env.unwrapped.road.vehicles if v is not env.unwrapped.vehicle]
+    for row, other in zip(rows, others, strict=True):
+        direction = other.destination_direction
+        offset = other.position[1] - env.unwrapped.vehicle.position[1]
+        assert row == pytest.approx([0, 2, offset, *direction, 5], abs=1e-4)
+    assert observation in env.observation_space
