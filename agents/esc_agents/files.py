@@ -12,6 +12,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+WIDTH = 100  # of a line of JSON, unless an array of plain values needs more
 PACKAGES = ("esc-gym", "highway-env", "gymnasium", "stable-baselines3", "torch", "numpy")
 
 
@@ -41,7 +42,31 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, value: Any) -> None:
     """Write a JSON file atomically; infinities, which JSON does not have, as null."""
-    write_text(path, json.dumps(finite(value), indent=2, allow_nan=False) + "\n")
+    write_text(path, json_text(finite(value)) + "\n")
+
+
+def json_text(value: Any, indent: int = 0) -> str:
+    """JSON for people: an array of plain values is one line, all else fills lines of WIDTH."""
+    if isinstance(value, dict):
+        items = [f"{json.dumps(str(k))}: {json_text(v, indent + 1)}" for k, v in value.items()]
+        opening, closing = "{}"
+    elif isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
+        items = [json_text(item, indent + 1) for item in value]
+        opening, closing = "[]"
+    else:
+        return json.dumps(value, allow_nan=False)
+    line = f"{opening}{', '.join(items)}{closing}"
+    if "\n" not in line and indent + len(line) <= WIDTH:
+        return line
+    rows: list[str] = []
+    for item in items:
+        together = f"{rows[-1]}, {item}" if rows else item
+        if "\n" not in together and indent + len(together) < WIDTH:
+            rows[-1:] = [together]
+        else:
+            rows.append(item)
+    inner = ",\n".join(" " * (indent + 1) + row for row in rows)
+    return f"{opening}\n{inner}\n{' ' * indent}{closing}"
 
 
 def finite(value: Any) -> Any:

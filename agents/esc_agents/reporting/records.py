@@ -18,7 +18,7 @@ def write(path: Path, schema: int, content: dict[str, Any]) -> None:
     """Write a record at once; infinities, which JSON does not have, as null."""
     # Through JSON once, which makes all keys text, as they will be read.
     plain = json.loads(json.dumps({"schema": schema, **files.finite(content)}, allow_nan=False))
-    files.write_text(path, json.dumps({"sha256": _digest(plain), **plain}, indent=1) + "\n")
+    files.write_json(path, {"sha256": _digest(plain), **plain})
 
 
 def read(path: Path, schema: int) -> dict[str, Any]:
@@ -32,6 +32,21 @@ def read(path: Path, schema: int) -> dict[str, Any]:
     except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
         raise Damaged(f"{path}: not a whole record ({error!r})") from error
     return record
+
+
+def rewrite(path: Path) -> bool:
+    """Give a JSON file the form in which files are written today; no value changes.
+
+    Returns whether it had another one. Raises Damaged where it is no JSON.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        value = json.loads(text)
+    except (OSError, ValueError) as error:
+        raise Damaged(f"{path}: not readable as JSON ({error!r})") from error
+    if (new := files.json_text(value) + "\n") != text:
+        files.write_text(path, new)
+    return new != text
 
 
 def _digest(content: dict[str, Any]) -> str:
