@@ -7,7 +7,7 @@ WORKERS ?= 2
 
 SOAK ?= --steps 1000000 --out docs/reliability.md
 
-.PHONY: setup train test exact bench drill soak lint
+.PHONY: setup train test slow exact bench drill soak lint
 setup: .venv/.done
 
 .venv/.done: pyproject.toml constraints.txt
@@ -21,6 +21,9 @@ train: setup
 
 test: setup
 	$(BIN)/pytest -n $(WORKERS)
+
+slow: setup
+	$(BIN)/pytest -n $(WORKERS) -m slow
 
 exact: setup
 	$(BIN)/pytest tests/esc_gym/fastsim/test_exactness.py --exact-seeds 100 -n $(WORKERS)

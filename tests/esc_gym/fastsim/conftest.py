@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 CHUNK = 5
+AT_ONCE = 2  # seeds in the ordinary tests; up to CHUNK is slow
 
 
 def pytest_addoption(parser):
@@ -12,9 +13,19 @@ def pytest_addoption(parser):
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc):
-    """Tests with an argument ``seeds`` get them five at a time, to be spread over workers."""
-    if "seeds" in metafunc.fixturenames:
-        # None also where pytest was started elsewhere and did not see the option above.
-        count = metafunc.config.getoption("exact_seeds", None) or CHUNK
+    """Tests with an argument ``seeds`` get some at a time, to be spread over workers."""
+    if "seeds" not in metafunc.fixturenames:
+        return
+    # None also where pytest was started elsewhere and did not see the option above.
+    if count := metafunc.config.getoption("exact_seeds", None):
         chunks = [range(s, min(s + CHUNK, count)) for s in range(0, count, CHUNK)]
-        metafunc.parametrize("seeds", chunks, ids=[f"{c[0]}-{c[-1]}" for c in chunks])
+        cases = [pytest.param(chunk, id=_name(chunk)) for chunk in chunks]
+    else:
+        first, rest = range(AT_ONCE), range(AT_ONCE, CHUNK)
+        slow = pytest.param(rest, id=_name(rest), marks=pytest.mark.slow)
+        cases = [pytest.param(first, id=_name(first)), slow]
+    metafunc.parametrize("seeds", cases)
+
+
+def _name(seeds: range) -> str:
+    return f"{seeds[0]}-{seeds[-1]}"
