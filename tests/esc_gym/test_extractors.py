@@ -1,6 +1,7 @@
 """SB3 extractors, on a fake env of the size of a unit test."""
 
 import copy
+import os
 import subprocess
 import sys
 from typing import Any
@@ -173,31 +174,37 @@ def test_bounds_of_the_space_set_the_virtual_vehicle_and_distances(name):
 
 
 LOAD = """
-import sys, numpy as np
+import sys, numpy as np, torch
 from stable_baselines3 import PPO
-model = PPO.load(sys.argv[1], device="cpu")
-observation = dict(np.load(sys.argv[2]))
-with __import__("torch").no_grad():
-    tensors, _ = model.policy.obs_to_tensor(observation)
-    print(*model.policy.get_distribution(tensors).distribution.logits.flatten().tolist())
+observation = dict(np.load(sys.argv[1]))
+for path in sys.argv[2:]:
+    model = PPO.load(path, device="cpu")
+    with torch.no_grad():
+        tensors, _ = model.policy.obs_to_tensor(observation)
+        print(*model.policy.get_distribution(tensors).distribution.logits.flatten().tolist())
 """
 
 
-@pytest.mark.parametrize("name", ["esc", "fp", "attention"])
-def test_saved_models_load_in_a_new_process(name, tmp_path):
-    learner = model("ppo", NAMED[name])
+def test_saved_models_load_in_a_new_process(tmp_path):
+    names = ("esc", "fp", "attention")
     observation = Traffic().reset(seed=3)[0]
-    learner.save(tmp_path / "model.zip")
     np.savez(tmp_path / "observation.npz", **observation)
-    with torch.no_grad():
-        tensors, _ = learner.policy.obs_to_tensor(observation)
-        expected = learner.policy.get_distribution(tensors).distribution.logits
-    arguments = [str(tmp_path / "model.zip"), str(tmp_path / "observation.npz")]
+    expected = []
+    for name in names:
+        learner = model("ppo", NAMED[name])
+        learner.save(tmp_path / f"{name}.zip")
+        with torch.no_grad():
+            tensors, _ = learner.policy.obs_to_tensor(observation)
+            logits = learner.policy.get_distribution(tensors).distribution.logits
+        expected.append(pytest.approx(logits.flatten().tolist(), rel=1e-5))
+    files = ("observation.npz", *(f"{name}.zip" for name in names))
     done = subprocess.run(
-        [sys.executable, "-c", LOAD, *arguments], capture_output=True, text=True, check=True
-    )
-    loaded = [float(value) for value in done.stdout.split()]
-    assert loaded == pytest.approx(expected.flatten().tolist(), rel=1e-5)
+        [sys.executable, "-c", LOAD, *files],
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    lines = done.stdout.splitlines()
+    assert [[float(value) for value in line.split()] for line in lines] == expected
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_a_killed_comparison_goes_on(compared, tmp_path):
     """Killed after its first run; its processes end with it; the second time equals one go."""
     (tmp_path / "script.py").write_text(SCRIPT)

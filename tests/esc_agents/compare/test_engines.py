@@ -122,6 +122,7 @@ def quiet_ray(monkeypatch):
     monkeypatch.setenv("RAY_DISABLE_IMPORT_WARNING", "1")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_ray_with_and_without_a_shared_directory(tmp_path, quiet_ray, monkeypatch):
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # a cluster that is gone is not asked
@@ -169,6 +170,7 @@ def wait_for(port: int) -> None:
     raise TimeoutError(f"nothing answers at {port}")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_two_nodes_of_which_one_is_killed(compared, tmp_path, quiet_ray):
     """A whole comparison on two nodes on loopback; one is lost in mid-run, and no result is."""

@@ -75,6 +75,7 @@ def test_finished_cells_are_kept_and_damaged_ones_trained_again(tmp_path, capsys
         cli.command(["run", *SMALL[:-1], "9", "--out", str(tmp_path)])
 
 
+@pytest.mark.slow
 def test_killed_and_started_again(tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     grid_of_three = ["--benchmarks", "1", "--cases", "5", "--repr", "fp", "--seeds", "3"]

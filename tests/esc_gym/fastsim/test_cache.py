@@ -28,6 +28,7 @@ def start(directory):
     return subprocess.Popen(arguments, env=environment, text=True, **pipes)
 
 
+@pytest.mark.slow
 def test_processes_that_start_together_compile_once(tmp_path):
     processes = [start(tmp_path), start(tmp_path)]
     outputs = [process.communicate() for process in processes]
