@@ -18,15 +18,25 @@ PACKAGES = ("esc-gym", "highway-env", "gymnasium", "stable-baselines3", "torch",
 
 def write_atomically(path: Path, write: Callable[[Any], object]) -> None:
     """Let ``write`` fill a temporary file beside ``path``, then put it in place."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = temporary_of(path)
     try:
         with temporary.open("wb") as file:
             write(file)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(temporary, path)
+        put_in_place(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def temporary_of(path: Path) -> Path:
+    """Where this process makes what is to be at ``path``."""
+    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
+
+
+def put_in_place(temporary: Path, path: Path) -> None:
+    """Rename a file or folder that is whole now."""
+    os.replace(temporary, path)
     if hasattr(os, "O_DIRECTORY"):  # the new name, too, has to survive a power cut
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         try:

@@ -57,7 +57,7 @@ class Job(Protocol):
     def name(self) -> str: ...
 
     def files(self, out: Path) -> list[Path]:
-        """Files and folders that the job makes."""
+        """Files and folders that the job makes, last the one with which it is done."""
         ...
 
     def do(self, out: Path, post: Post) -> None: ...
@@ -76,13 +76,16 @@ class TrainJob:
         return f"{self.cell.task}/{'tuning/' if self.cell.tuning else ''}{self.cell.name}"
 
     def files(self, out: Path) -> list[Path]:
-        return [store.path_of(out, self.cell), store.run_folder(out, self.cell)]
+        return [store.run_folder(out, self.cell), store.path_of(out, self.cell)]
 
     def do(self, out: Path, post: Post) -> None:
         start = time.perf_counter()
-        config, folder = train_config(self.config, self.cell, self.slots), self.files(out)[1]
+        config, folder = train_config(self.config, self.cell, self.slots), self.files(out)[0]
         with _into_log(out, self.cell):
             _train(config, folder, post, self.name)
+            # Of no use any more, and with SAC's replay buffer hundreds of MB for each run. Before
+            # the result, since who has that is not asked again.
+            rmtree(folder / "checkpoints", ignore_errors=True)
             if self.cell.tuning:
                 saved = read_evaluations(folder / "evaluations.npz")
                 returns = saved["results"][-JUDGED:].ravel().tolist()
@@ -90,8 +93,6 @@ class TrainJob:
                 store.write(out, Tuned(self.cell, returns, took, files.versions()))
             else:
                 store.write(out, self._measured(config, folder, start))
-        # Of no use any more, and with SAC's replay buffer hundreds of MB for each run.
-        rmtree(folder / "checkpoints", ignore_errors=True)
 
     def _measured(self, config: TrainConfig, folder: Path, start: float) -> Result:
         cell, episodes = self.cell, range(EPISODES, EPISODES + self.config.episodes)
@@ -151,12 +152,17 @@ def _into_log(out: Path, cell: Cell) -> Iterator[None]:
 
 def _train(config: TrainConfig, folder: Path, post: Post, name: str) -> None:
     """Train into ``folder``, or go on there; nothing where it is done. Raises Interrupted."""
-    if (folder / "results.json").exists():
-        run_directory.verify(folder, "policy.json", "policy.safetensors", "evaluations.npz")
-        return
     listener = _Listener(name, post)
-    if (folder / "config.yaml").exists():
+    if folder.exists():
+        if not (folder / "config.yaml").exists():
+            raise UserError(
+                f"{folder} is no run directory: expected a config.yaml in it; remove it, and its "
+                "run is done anew"
+            )
         _wait_until_free(folder)
+        if run_directory.finished(folder):
+            run_directory.verify(folder, "policy.json", "policy.safetensors", "evaluations.npz")
+            return
         begun = run_directory.open_run(folder)
         if begun.model_copy(update={"run_dir": None}) != config:
             raise UserError(
@@ -164,7 +170,6 @@ def _train(config: TrainConfig, folder: Path, post: Post, name: str) -> None:
             )
         finished = train(begun, resume=folder, listeners=[listener])
     else:
-        _remove_empty(folder)
         finished = train(config.model_copy(update={"run_dir": folder}), listeners=[listener])
     if not finished:
         raise Interrupted
@@ -176,23 +181,6 @@ def _wait_until_free(folder: Path) -> None:
             pass
     except Timeout as error:
         raise UserError(f"{folder} is in use by another process") from error
-
-
-def _remove_empty(folder: Path) -> None:
-    """A run that was killed before it wrote anything left empty folders."""
-    if not folder.exists():
-        return
-    for path in sorted(folder.rglob("*"), reverse=True):
-        if path.name.endswith(".tmp") or path.name == ".lock":
-            path.unlink()
-        elif path.is_dir() and not any(path.iterdir()):
-            path.rmdir()
-    if any(folder.iterdir()):
-        raise UserError(
-            f"{folder} is no run directory: expected a config.yaml in it; remove it, and its run "
-            "is done anew"
-        )
-    folder.rmdir()
 
 
 class _Listener(BaseCallback):
@@ -223,10 +211,11 @@ class _Listener(BaseCallback):
 
 
 def collected(paths: list[Path], out: Path) -> dict[str, bytes]:
-    """Files, and all files in folders, by their place in ``out``."""
+    """Files, and all files in folders, by their place in ``out``, each folder's checksums last."""
     found = {}
     for path in paths:
-        for file in [path] if path.is_file() else sorted(path.rglob("*")):
+        inside = sorted(path.rglob("*"), key=lambda file: file.name == run_directory.CHECKSUMS)
+        for file in [path] if path.is_file() else inside:
             if file.is_file() and file.name != ".lock":
                 found[os.path.relpath(file, out)] = file.read_bytes()
     return found

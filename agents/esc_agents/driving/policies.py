@@ -138,7 +138,10 @@ def load_policy(folder: Path, device: str = "cpu", name: str = "policy") -> tupl
             f"{described} is damaged or of another version: {where} {first['msg']}"
         ) from error
     if hashlib.sha256(weights).hexdigest() != description.sha256:
-        raise UserError(f"{stored} does not match the checksum in {described.name}: it is damaged")
+        raise UserError(
+            f"{stored} does not match the checksum in {described.name}: it is damaged, or its run "
+            f"was killed between the two, and esc-train --resume {folder} writes them again"
+        )
     try:
         policy = description.build()
         _set_weights(policy, load(weights))

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from esc_agents.errors import say
 from esc_agents.training.checkpoint import in_order
+from esc_agents.training.run_directory import finished
 
 TRAIN = [sys.executable, "-c", "from esc_agents.cli.train import main; main()"]
 COMMON = [
@@ -127,7 +128,7 @@ def kills(drill: Drill, algo: str) -> str:
     path, count, whole = drill.folder / f"{algo}-killed", drill.count, drill.whole(algo)
     latest = 0.8 * drill.seconds[algo] / count  # so that the run does not end before the last kill
     args, done, steps = drill.new(algo, path.name), 0, set()
-    while done < count:
+    while done < count and not finished(path):  # it may be killed after its last file
         with started(args) as process:
             wait_for(process, "steps into")
             time.sleep(drill.moments.uniform(0, latest))
@@ -136,10 +137,11 @@ def kills(drill: Drill, algo: str) -> str:
             done += 1
         steps.add(max((int(p.stem) for p in in_order(path / "checkpoints")), default=0))
         args = ["--resume", str(path)]
-    finish(args)
+    if not finished(path):
+        finish(args)
     same(path, whole)
     return (
-        f"{count} times, resumed from {len(steps)} places up to step {max(steps):,}: the same files"
+        f"{done} times, resumed from {len(steps)} places up to step {max(steps):,}: the same files"
     )
 
 

@@ -50,6 +50,11 @@ class Run:
     def read(cls, path: Path) -> Run:
         """Raises UserError where ``path`` holds no finished run."""
         config = run_directory.open_run(path)
+        if not run_directory.finished(path):
+            raise UserError(
+                f"{path} is no finished run: expected results.json and SHA256SUMS in it; finish "
+                f"it with esc-train --resume {path}"
+            )
         run_directory.verify(
             path, "results.json", "evaluations.npz", "metrics.csv", "versions.json"
         )
@@ -62,11 +67,6 @@ class Run:
             versions = json.loads((path / "versions.json").read_text(encoding="utf-8"))
             commands = (path / "command.txt").read_text(encoding="utf-8").splitlines()
             trained = results.pop(config.repr)
-        except FileNotFoundError as missing:
-            raise UserError(
-                f"{path} is no finished run: expected {Path(missing.filename).name} in it; "
-                f"finish it with esc-train --resume {path}"
-            ) from missing
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UserError(f"{path} is damaged: {type(error).__name__}: {error}") from error
         return cls(path, config, tuple(commands), versions, trained, results, curve, metrics)

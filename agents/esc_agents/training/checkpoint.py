@@ -117,9 +117,14 @@ def write(folder: Path, steps: int, state: bytes) -> Path:
         file.write(state)
 
     files.write_atomically(path, fill)
+    thin_out(folder)
+    return path
+
+
+def thin_out(folder: Path) -> None:
+    """Remove all checkpoints but the newest two."""
     for old in in_order(folder)[:-KEEP]:
         old.unlink(missing_ok=True)
-    return path
 
 
 def in_order(folder: Path) -> list[Path]:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from esc_agents import files
 from esc_agents.config import TrainConfig, dump, load_config
 from esc_agents.errors import UserError
 
-CHECKSUMS = "SHA256SUMS"
+RESULTS, CHECKSUMS = "results.json", "SHA256SUMS"
 STEP = "time/total_timesteps"
 
 
@@ -36,16 +37,23 @@ def default_run_dir(config: TrainConfig) -> Path:
 def create(path: Path, config: TrainConfig, wrapper: dict[str, Any], device: str = "cpu") -> Path:
     """A new run directory with config.yaml, command.txt, versions.json and wrapper.json.
 
-    device: what the run computes on, for versions.json.
+    It is there with all of them, or not at all. device: what the run computes on, for
+    versions.json.
     """
     check_free(path)
+    made = files.temporary_of(path)
     try:
-        (path / "checkpoints").mkdir(parents=True)
+        rmtree(made, ignore_errors=True)  # of a killed process that had our number
+        (made / "checkpoints").mkdir(parents=True)
+        _note_config(made, config, path)
+        note_command(made)
+        files.write_json(made / "versions.json", files.versions() | {"device": device})
+        files.write_json(made / "wrapper.json", wrapper)
+        files.put_in_place(made, path)
     except OSError as error:
         raise UserError(f"run directory {path}: {error.strerror}") from error
-    note_session(path, config)
-    files.write_json(path / "versions.json", files.versions() | {"device": device})
-    files.write_json(path / "wrapper.json", wrapper)
+    finally:
+        rmtree(made, ignore_errors=True)
     return path
 
 
@@ -70,20 +78,27 @@ def locked(path: Path) -> Iterator[None]:
     except Timeout as error:
         raise UserError(f"{path} is in use by another process; wait until it has ended") from error
     try:
-        for left in path.rglob(".*.tmp"):  # of a process that was killed while it wrote
-            left.unlink(missing_ok=True)
+        for left in list(path.rglob(".*.[0-9]*.tmp")):  # of a process killed while it wrote
+            if left.is_dir():
+                rmtree(left)
+            else:
+                left.unlink(missing_ok=True)
         yield
     finally:
         lock.release()
 
 
 def note_session(path: Path, config: TrainConfig) -> None:
-    """Keep what this session, the first or one that resumes, is to do, and add its command."""
-    (path / CHECKSUMS).unlink(missing_ok=True)  # they are of a session that has ended
-    files.write_text(
-        path / "config.yaml", f"# esc-train --config {path}/config.yaml\n{dump(config)}"
-    )
+    """Keep what this session, which resumes a run, is to do, and add its command."""
+    for name in (CHECKSUMS, RESULTS):  # of a session that has ended; now it is not finished
+        (path / name).unlink(missing_ok=True)
+    _note_config(path, config, path)
     note_command(path)
+
+
+def _note_config(folder: Path, config: TrainConfig, path: Path) -> None:
+    text = f"# esc-train --config {path}/config.yaml\n{dump(config)}"
+    files.write_text(folder / "config.yaml", text)
 
 
 def note_command(path: Path) -> None:
@@ -101,19 +116,30 @@ def open_run(path: Path) -> TrainConfig:
     return load_config(path / "config.yaml")
 
 
+def finish(path: Path, results: list[dict[str, Any]]) -> None:
+    """The last two files of a run: results.json, then SHA256SUMS, with which it is finished."""
+    files.write_json(path / RESULTS, results)
+    write_checksums(path)
+
+
+def finished(path: Path) -> bool:
+    """Whether a run did all that its config.yaml says, and all of its files are there."""
+    return (path / CHECKSUMS).is_file() and (path / RESULTS).is_file()
+
+
 def write_checksums(path: Path) -> None:
-    """SHA256SUMS over the files of a run that ended, as ``sha256sum -c`` reads it."""
+    """SHA256SUMS over the files of a finished run, as ``sha256sum -c`` reads it."""
     found = [file for file in sorted(path.iterdir()) if file.is_file() and file.name[0] != "."]
     lines = [f"{_sha256(file)}  {file.name}\n" for file in found if file.name != CHECKSUMS]
     files.write_text(path / CHECKSUMS, "".join(lines))
 
 
 def verify(path: Path, *names: str) -> None:
-    """Raises UserError where a file is not what it was when the run ended."""
+    """Raises UserError where a file is not what it was when the run was finished."""
     try:
         text = (path / CHECKSUMS).read_text(encoding="utf-8")
     except (FileNotFoundError, NotADirectoryError):
-        return  # not ended
+        return  # not finished
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path / CHECKSUMS} is not readable: {error}") from error
     sums = {name: digest for digest, _, name in (row.partition("  ") for row in text.splitlines())}

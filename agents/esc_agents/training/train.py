@@ -94,9 +94,16 @@ def _vectorised(config: TrainConfig) -> Iterator[VecEnv]:
 
 
 def _check_unfinished(config: TrainConfig, directory: Path) -> None:
+    if not run_directory.finished(directory):
+        return
     found = checkpoint.in_order(directory / "checkpoints")
-    steps = int(found[-1].stem) if found else 0
-    if steps >= config.steps and (directory / "results.json").exists():
+    if not found:
+        raise UserError(
+            f"{directory} is finished, and without checkpoints it cannot go on; for more steps "
+            f"start anew, in another directory: esc-train --config {directory / 'config.yaml'}"
+        )
+    steps = int(found[-1].stem)
+    if steps >= config.steps:
         raise UserError(
             f"{directory} has {steps:,} of {config.steps:,} steps already; ask for more with "
             "--steps"
@@ -162,13 +169,11 @@ class Training:
             files.write_atomically(directory / "model.zip", model.save)
             self.save_policy("policy")
             results = self._results(stop)
-        run_directory.write_checksums(directory)
         if stop.interrupted:
             say(f"Stopped after {model.num_timesteps:,} steps; the model is saved.")
             say(f"Continue with: esc-train --resume {directory}")
             return False
-        files.write_json(directory / "results.json", as_rows(results))
-        run_directory.write_checksums(directory)
+        run_directory.finish(directory, as_rows(results))
         title = f"{config.env}, {config.repr}, {config.algo}, {model.num_timesteps:,} steps"
         show(terminal(table(results), f"{title}; episodes: {config.evaluation.episodes}"))
         say(f"Run directory: {directory}")
@@ -209,6 +214,7 @@ class Training:
         finally:
             saved.writer.wait()
             model.logger.close()
+        checkpoint.thin_out(folder)  # for a session that was killed before it had done so
 
     def _results(self, stop: StopOnSignal) -> dict[str, Summary]:
         """The trained policy and the blind ones on the same episodes."""

@@ -132,15 +132,16 @@ def test_a_broken_run_is_named_and_the_rest_is_kept(own, broken):
     assert store.path_of(own, next(c for c in study_cells(small(seeds=3)) if c.seed == 2)).exists()
 
 
-def test_folders_of_a_run_that_never_began_are_in_nobodys_way(own, compared):
+def test_what_is_left_of_a_run_that_never_began_is_in_nobodys_way(own, compared):
     (own / TASK / "results" / "esc-s1.json").unlink()
     folder = own / TASK / "runs" / "esc-s1"
     shutil.rmtree(folder)
-    (folder / "checkpoints").mkdir(parents=True)
-    (folder / ".lock").touch()
-    (folder / ".config.yaml.1.tmp").touch()
+    begun = folder.with_name(".esc-s1.1.tmp")
+    (begun / "checkpoints").mkdir(parents=True)
+    (begun / ".config.yaml.1.tmp").touch()
     compare(small(), own, HereEngine())
     assert measured(own) == measured(compared)
+    assert not begun.exists()
 
 
 def test_other_settings_are_refused(own):

@@ -13,6 +13,7 @@ from esc_agents.config import TrainConfig, dump, load_config
 from esc_agents.driving.episodes import Episode, Summary, as_rows
 from esc_agents.errors import UserError
 from esc_agents.proof import learning
+from esc_agents.training.run_directory import write_checksums
 
 
 def summary(mean, ttc=1.0):
@@ -49,6 +50,7 @@ def make_run(tmp_path):
         (path / "metrics.csv").write_text(metrics)
         returns = np.array([[0.0, 2.0], [3.0, 4.0]])
         np.savez(path / "evaluations.npz", timesteps=np.array([100, 200]), results=returns)
+        write_checksums(path)
         return path
 
     return make
@@ -98,11 +100,11 @@ def test_an_unknown_scenario_is_called_by_its_id():
     assert learning.scenario_name(load_config("highway-dense")) == "highway-dense"
 
 
-@pytest.mark.parametrize("name", ["results.json", "evaluations.npz", "config.yaml"])
+@pytest.mark.parametrize("name", ["results.json", "SHA256SUMS", "config.yaml"])
 def test_an_unfinished_run(name, make_run, tmp_path):
     path = make_run(0)
     (path / name).unlink()
-    with pytest.raises(UserError, match=f"seed-0 is no .*run.* expected (a )?{name} in it"):
+    with pytest.raises(UserError, match=f"seed-0 is no .*run.* expected .*{name}.* in it"):
         write(tmp_path, path)
 
 
@@ -110,6 +112,7 @@ def test_an_unfinished_run(name, make_run, tmp_path):
 def test_a_damaged_run(damage, make_run, tmp_path):
     path = make_run(0)
     (path / "results.json").write_text(damage)
+    write_checksums(path)
     with pytest.raises(UserError, match="seed-0 is damaged"):
         write(tmp_path, path)
 

@@ -152,9 +152,9 @@ def finished(ppo_run, tmp_path):
 
 
 def spoil(folder: Path, name: str, content: bytes):
-    """Put ``content`` in the place of a file; without checksums, which would catch it."""
-    (folder / run_directory.CHECKSUMS).unlink(missing_ok=True)
+    """Put ``content`` in the place of a file, with its checksum, which else would catch it."""
     (folder / name).write_bytes(content)
+    run_directory.write_checksums(folder)
 
 
 @many
