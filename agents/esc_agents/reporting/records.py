@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from esc_agents import files
+from esc_agents import files, strangers
 
 
 class Damaged(Exception):
@@ -18,19 +18,26 @@ def write(path: Path, schema: int, content: dict[str, Any]) -> None:
     """Write a record at once; infinities, which JSON does not have, as null."""
     # Through JSON once, which makes all keys text, as they will be read.
     plain = json.loads(json.dumps({"schema": schema, **files.finite(content)}, allow_nan=False))
-    files.write_text(path, json.dumps({"sha256": _digest(plain), **plain}, indent=1) + "\n")
+    record = {"sha256": _digest(plain), "mac": strangers.BLANK, **plain}
+    files.write_text(path, strangers.signed(json.dumps(record, indent=1) + "\n"))
 
 
-def read(path: Path, schema: int) -> dict[str, Any]:
-    """What ``write`` was given. Raises Damaged."""
+def read(path: Path, schema: int, trust: bool = False) -> dict[str, Any]:
+    """What ``write`` was given. Raises Damaged.
+
+    trust: whether a record that this user did not write may name code to import, else a UserError.
+    """
     try:
-        record = json.loads(path.read_bytes())
+        data = path.read_bytes()
+        record = json.loads(data)
+        record.pop("mac", None)
         if record.pop("sha256") != _digest(record):
             raise Damaged(f"{path}: its contents do not match their checksum")
         if record.pop("schema") != schema:
             raise Damaged(f"{path}: written by another version of esc-gym")
     except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
         raise Damaged(f"{path}: not a whole record ({error!r})") from error
+    strangers.check(path, data, record, trust)
     return record
 
 

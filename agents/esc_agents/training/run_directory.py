@@ -18,7 +18,7 @@ import numpy as np
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
-from esc_agents import files
+from esc_agents import files, strangers
 from esc_agents.config import TrainConfig, dump, load_config
 from esc_agents.errors import UserError
 
@@ -80,9 +80,8 @@ def locked(path: Path) -> Iterator[None]:
 def note_session(path: Path, config: TrainConfig) -> None:
     """Keep what this session, the first or one that resumes, is to do, and add its command."""
     (path / CHECKSUMS).unlink(missing_ok=True)  # they are of a session that has ended
-    files.write_text(
-        path / "config.yaml", f"# esc-train --config {path}/config.yaml\n{dump(config)}"
-    )
+    text = f"# esc-train --config {path}/config.yaml\n# mac: {strangers.BLANK}\n{dump(config)}"
+    files.write_text(path / "config.yaml", strangers.signed(text))
     note_command(path)
 
 
@@ -93,12 +92,12 @@ def note_command(path: Path) -> None:
     files.write_text(commands, before + shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) + "\n")
 
 
-def open_run(path: Path) -> TrainConfig:
-    """The configuration of an existing run."""
+def open_run(path: Path, trust: bool = False) -> TrainConfig:
+    """The configuration of an existing run. trust: as of ``config.load``."""
     if not (path / "config.yaml").is_file():
         raise UserError(f"{path} is no run directory: expected a config.yaml in it")
     verify(path, "config.yaml")
-    return load_config(path / "config.yaml")
+    return load_config(path / "config.yaml", trust)
 
 
 def write_checksums(path: Path) -> None:
