@@ -75,6 +75,7 @@ def folder(tmp_path, ppo_run, compared, mark, call, monkeypatch):
     results.write(
         Path("paper/cells"), results.Result(PAPER, 1, [Point(1, {5: 1.0})], 1.0, {"device": "cpu"})
     )
+    monkeypatch.setattr("esc_agents.compare.engines.LocalEngine", lambda _: HereEngine())
     monkeypatch.setattr(comparison, "cost", lambda config: Cost(1.0, 1))
     monkeypatch.setattr(films, "gif", lambda *_: b"GIF89a")
     return tmp_path
@@ -103,7 +104,7 @@ ENCODER, ARGUMENTS = ("encoder", "representation"), ("encoder", "arguments", "re
 EVAL, TRAIN = "run --episodes 1 --device cpu", "--config train.yaml --run-dir new"
 RESUME = "--resume run --steps 48"
 DRY = f"--config compare.yaml --env {ENV} --dry-run --out new"
-ALL = "--config compare.yaml --out compared --workers 1"
+ALL = "--config compare.yaml --out compared"
 RESULT = f"{TASK}/results/esc-s0.json"
 RUN = f"{TASK}/runs/esc-s0"
 TUNED = f"{TASK}/tuning/esc-lr1-x0.1-s1000.json"
