@@ -20,6 +20,7 @@ from pydantic import (
 )
 from tyro.constructors import PrimitiveConstructorSpec
 
+from esc_agents import strangers
 from esc_agents.errors import UserError
 from esc_gym.features import DEFAULT_FEATURES
 from esc_gym.registration import ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
@@ -214,13 +215,16 @@ def scenarios() -> dict[str, Path]:
     return shipped("train")
 
 
-def load_config(name: str | Path) -> TrainConfig:
+def load_config(name: str | Path, trust: bool = False) -> TrainConfig:
     """A training configuration: an existing YAML file, or a shipped scenario's name."""
-    return load(name, "train", TrainConfig)
+    return load(name, "train", TrainConfig, trust)
 
 
-def load(name: str | Path, kind: str, model: type[M]) -> M:
-    """A configuration of a kind: an existing YAML file, or a shipped one's name."""
+def load(name: str | Path, kind: str, model: type[M], trust: bool = False) -> M:
+    """A configuration of a kind: an existing YAML file, or a shipped one's name.
+
+    trust: whether a file that this user did not write may name code to import.
+    """
     path = Path(name)
     if not path.is_file():
         known = shipped(kind)
@@ -229,9 +233,10 @@ def load(name: str | Path, kind: str, model: type[M]) -> M:
             raise UserError(
                 f"config: no file {str(name)!r} and no such {what}{_nearest(str(name), known)}"
             )
-        path = known[str(name)]
+        path, trust = known[str(name)], True
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = path.read_bytes()
+        values = yaml.safe_load(data.decode())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise UserError(f"config {path}: not readable as YAML: {error}") from error
     if not isinstance(values, dict):
@@ -240,6 +245,7 @@ def load(name: str | Path, kind: str, model: type[M]) -> M:
         raise UserError(
             f"config {path}: expected schema {SCHEMA}, got {schema!r}; it is of another esc-gym"
         )
+    strangers.check(path, data, values, trust)
     try:
         return model.model_validate(values)
     except ValidationError as error:
@@ -251,10 +257,10 @@ def config_for_env(env: str) -> TrainConfig:
     env = env.removeprefix(f"{NAMESPACE}/")
     known = scenarios()
     if env in known:
-        return load_config(env)
+        return load_config(known[env], trust=True)
     check_env_id(env)
     family = env.rpartition("-v")[0]
-    base = load_config(family) if family in known else TrainConfig()
+    base = load_config(known[family], trust=True) if family in known else TrainConfig()
     return base.model_copy(update={"env": env})
 
 

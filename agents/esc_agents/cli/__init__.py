@@ -8,13 +8,20 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn, TypeVar
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import tyro
 
 from esc_agents.errors import UserError
 
 T = TypeVar("T")
+Trust = Annotated[
+    bool,
+    tyro.conf.arg(
+        help="Also load files of somebody else that can run their code: pickled objects, and names "
+        "of modules outside esc_gym and highway_env."
+    ),
+]
 
 
 def exit_with(program: str, message: str) -> NoReturn:

@@ -11,7 +11,7 @@ from typing import Literal
 
 from pydantic import PositiveFloat, PositiveInt
 
-from esc_agents.cli import guarded, parse
+from esc_agents.cli import Trust, guarded, parse
 from esc_agents.compare.grid import CompareConfig
 from esc_agents.config import load
 from esc_agents.errors import UserError
@@ -39,9 +39,10 @@ class CompareArguments(CompareConfig):
     """Of --engine ray: cores that one run takes."""
     dry_run: bool = False
     """Print the grid and what it will take, and train nothing."""
+    trust: Trust = False
 
 
-OWN = ("config", "out", "engine", "workers", "address", "cpus", "dry_run")
+OWN = ("config", "out", "engine", "workers", "address", "cpus", "dry_run", "trust")
 
 
 def main() -> None:
@@ -53,11 +54,14 @@ def command(args: list[str]) -> int:
     """0: done; 130: interrupted, saved."""
     early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     early.add_argument("--config")
+    early.add_argument("--trust", action=argparse.BooleanOptionalAction, default=False)
     try:
         given, _ = early.parse_known_args(args)
     except argparse.ArgumentError as error:
         raise UserError(str(error)) from error
-    base = load(given.config, "compare", CompareConfig) if given.config else CompareConfig()
+    base = CompareConfig()
+    if given.config:
+        base = load(given.config, "compare", CompareConfig, given.trust)
     arguments = parse(
         PROGRAM, CompareArguments, args, default=CompareArguments.model_construct(**dict(base))
     )
@@ -69,13 +73,13 @@ def command(args: list[str]) -> int:
 
     workers = arguments.workers or fitting()
     if arguments.dry_run:
-        dry_run(config, arguments.out, workers)
+        dry_run(config, arguments.out, workers, arguments.trust)
         return 0
     local = arguments.engine == "local"
     engine = LocalEngine(workers) if local else RayEngine(arguments.address, arguments.cpus)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        compare(config, arguments.out, engine)
+        compare(config, arguments.out, engine, arguments.trust)
     except KeyboardInterrupt:
         print("Interrupted; what is finished is kept. Start again to go on.", flush=True)
         return 130

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 from pydantic import BaseModel, ConfigDict, PositiveInt
 
-from esc_agents.cli import guarded, parse
+from esc_agents.cli import Trust, guarded, parse
 from esc_agents.config import Seed
 
 PROGRAM = "esc-eval"
@@ -34,8 +34,7 @@ class EvaluateArguments(BaseModel):
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
     """File for the results and every episode."""
     device: str = "auto"
-    trust: bool = False
-    """Load model.zip where there is no policy.safetensors: it can run code of whoever wrote it."""
+    trust: Trust = False
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ from typing import Annotated
 from pydantic import PositiveInt
 from tyro import conf
 
-from esc_agents.cli import guarded, parse
+from esc_agents.cli import Trust, guarded, parse
 from esc_agents.config import TrainConfig, load_config, scenarios
 
 PROGRAM = "floors"
@@ -29,6 +29,7 @@ class FloorArguments:
         default_factory=lambda: tuple(name for name in scenarios() if name.endswith("-dense"))
     )
     episodes: PositiveInt = 30
+    trust: Trust = False
 
 
 def main() -> None:
@@ -39,7 +40,7 @@ def main() -> None:
 def command(args: list[str]) -> int:
     """0: done."""
     arguments = parse(PROGRAM, FloorArguments, args)
-    configs = {name: load_config(name) for name in arguments.scenarios}
+    configs = {name: load_config(name, arguments.trust) for name in arguments.scenarios}
     from esc_agents.driving.baselines import write_floors
 
     write_floors(configs, arguments.episodes, TrainConfig().evaluation.seed, arguments.out)

@@ -12,7 +12,7 @@ from typing import Annotated
 
 from tyro import conf
 
-from esc_agents.cli import guarded, parse
+from esc_agents.cli import Trust, guarded, parse
 
 PROGRAM = "learning"
 
@@ -25,6 +25,7 @@ class LearningArguments:
     """Run directories of esc-train."""
     out: Path = Path("docs/learning.md")
     """Markdown file to write; a figure (.png) and the metrics (.csv) go beside it."""
+    trust: Trust = False
 
 
 def main() -> None:
@@ -37,7 +38,7 @@ def command(args: list[str]) -> int:
     arguments = parse(PROGRAM, LearningArguments, args)
     from esc_agents.proof.learning import write_report
 
-    write_report(arguments.runs, arguments.out)
+    write_report(arguments.runs, arguments.out, arguments.trust)
     return 0
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, field_validator
 
-from esc_agents.cli import guarded, parse
+from esc_agents.cli import Trust, guarded, parse
 from esc_agents.errors import UserError
 
 PROGRAM = "esc-paper"
@@ -25,6 +25,8 @@ class _Arguments(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
     )
+
+    trust: Trust = False
 
 
 class RunArguments(_Arguments):
@@ -137,12 +139,12 @@ def _run(arguments: RunArguments) -> int:
         cells = study(arguments.study, chosen["benchmarks"], seeds)
     cells = [replace(cell, init=chosen["init"]) for cell in cells]
     folder = chosen["out"] / "cells"
-    run(cells, chosen["updates"], chosen["device"], chosen["workers"], folder)
+    run(cells, chosen["updates"], chosen["device"], chosen["workers"], folder, arguments.trust)
     return 0
 
 
 def _report(arguments: ReportArguments) -> int:
     from esc_agents.paper.report import report
 
-    report(arguments.out)
+    report(arguments.out, arguments.trust)
     return 0

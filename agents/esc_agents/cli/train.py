@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from esc_agents.cli import guarded, parse
+from esc_agents.cli import Trust, guarded, parse
 from esc_agents.config import TrainConfig, config_for_env, load_config, scenarios
 from esc_agents.errors import UserError
 from esc_gym.registration import merge
@@ -24,8 +24,7 @@ class TrainArguments(TrainConfig):
     """YAML file, or name of a shipped scenario, with the values of all other flags."""
     resume: Path | None = None
     """Run directory to continue; beside it only --steps and --trust are taken."""
-    trust: bool = False
-    """Continue from a checkpoint of somebody else, which can run their code."""
+    trust: Trust = False
 
 
 RESUMABLE = {"steps", "resume", "trust"}
@@ -58,6 +57,7 @@ def _base(args: list[str]) -> TrainArguments:
     early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for flag in ("--config", "--env", "--resume"):
         early.add_argument(flag)
+    early.add_argument("--trust", action=argparse.BooleanOptionalAction, default=False)
     try:
         given, _ = early.parse_known_args(args)
     except argparse.ArgumentError as error:
@@ -65,9 +65,9 @@ def _base(args: list[str]) -> TrainArguments:
     if given.resume is not None:
         from esc_agents.training.run_directory import open_run
 
-        base = open_run(Path(given.resume))
+        base = open_run(Path(given.resume), given.trust)
     elif given.config is not None:
-        base = load_config(given.config)
+        base = load_config(given.config, given.trust)
     else:
         base = config_for_env(TrainConfig().env if given.env is None else given.env)
     return TrainArguments.model_construct(**dict(base))

@@ -110,14 +110,14 @@ class Duel:
         return "loses" if self.difference.high < 0 else "ties"
 
 
-def load(out: Path) -> list[Task]:
+def load(out: Path, trust: bool = False) -> list[Task]:
     """Everything in a comparison's directory that has both runs and baselines."""
     tasks = []
     for folder in store.task_folders(out):
-        baselines, results = store.baselines(folder), store.results(folder)
+        baselines, results = store.baselines(folder, trust), store.results(folder, trust)
         if baselines and any(not result.cell.traffic for result in results):
-            settings = store.task_settings(folder)
-            tasks.append(Task(folder, settings, baselines, results, store.tuned(folder)))
+            settings, tuned = store.task_settings(folder, trust), store.tuned(folder, trust)
+            tasks.append(Task(folder, settings, baselines, results, tuned))
     return tasks
 
 

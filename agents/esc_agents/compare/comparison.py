@@ -38,7 +38,7 @@ class Plan:
     """What is to be done.
 
     vehicles: N of each scenario. slots: Z of fp and ap there. tuning, study: all runs, finished or
-    not.
+    not. trust: whether what others wrote into the output directory may run code.
     """
 
     config: CompareConfig
@@ -46,6 +46,7 @@ class Plan:
     slots: dict[str, int]
     tuning: list[Cell]
     study: list[Cell]
+    trust: bool
 
     def steps(self, cell: Cell) -> int:
         """Training steps of a run."""
@@ -53,10 +54,10 @@ class Plan:
 
     def jobs(self, cells: Sequence[Cell]) -> list[Job]:
         """What trains them."""
-        return [TrainJob(self.config, cell, self.slots[cell.env]) for cell in cells]
+        return [TrainJob(self.config, cell, self.slots[cell.env], self.trust) for cell in cells]
 
 
-def plan(config: CompareConfig) -> Plan:
+def plan(config: CompareConfig, trust: bool = False) -> Plan:
     """Looks at everything that a user can get wrong. Raises UserError."""
     check_transfer(config)
     vehicles = {}
@@ -68,12 +69,12 @@ def plan(config: CompareConfig) -> Plan:
             space: Any = probe.observation_space
             vehicles[env] = space["vehicles"].shape[0]
     slots = {env: min(config.slots or n, n) for env, n in vehicles.items()}
-    return Plan(config, vehicles, slots, tuning_cells(config), study_cells(config))
+    return Plan(config, vehicles, slots, tuning_cells(config), study_cells(config), trust)
 
 
-def compare(config: CompareConfig, out: Path, engine: Engine) -> None:
-    """Do what ``out`` does not hold yet, and write its report."""
-    planned = plan(config)
+def compare(config: CompareConfig, out: Path, engine: Engine, trust: bool = False) -> None:
+    """Do what ``out`` does not hold yet, and write its report. trust: as of ``Plan``."""
+    planned = plan(config, trust)
     try:
         out.mkdir(parents=True, exist_ok=True)
         with locked(out):
@@ -83,25 +84,27 @@ def compare(config: CompareConfig, out: Path, engine: Engine) -> None:
 
 
 def _compare(planned: Plan, out: Path, engine: Engine) -> None:
-    config = planned.config
+    config, trust = planned.config, planned.trust
     for env in config.env:
-        store.begin_task(out, config, env)
+        store.begin_task(out, config, env, trust)
     note_command(out)
-    unfinished(planned.study, out)  # a damaged result is said before anything is trained
+    unfinished(planned.study, out, trust)  # a damaged result is said before anything is trained
     tasks = [BaselineJob(config, env) for env in config.env]
-    jobs: list[Job] = [job for job in tasks if store.baselines(job.files(out)[0].parent) is None]
-    jobs += planned.jobs(unfinished(planned.tuning, out))
+    jobs: list[Job] = [
+        job for job in tasks if store.baselines(job.files(out)[0].parent, trust) is None
+    ]
+    jobs += planned.jobs(unfinished(planned.tuning, out, trust))
     _run("Baselines and tuning", jobs, planned, out, engine)
     chosen = [replace(cell, candidate=choice(planned, cell, out)) for cell in planned.study]
-    jobs = planned.jobs(unfinished(chosen, out))
+    jobs = planned.jobs(unfinished(chosen, out, trust))
     say(f"{len(chosen)} runs, {len(chosen) - len(jobs)} of them finished, into {out}")
     _run("Study", jobs, planned, out, engine)
-    write_report(out)
+    write_report(out, trust)
 
 
-def unfinished(cells: Sequence[Cell], out: Path) -> list[Cell]:
+def unfinished(cells: Sequence[Cell], out: Path, trust: bool = False) -> list[Cell]:
     """Those without a result yet."""
-    return [cell for cell in cells if store.read(out, cell) is None]
+    return [cell for cell in cells if store.read(out, cell, trust) is None]
 
 
 def choice(planned: Plan, cell: Cell, out: Path) -> Candidate:
@@ -109,7 +112,8 @@ def choice(planned: Plan, cell: Cell, out: Path) -> Candidate:
     tried = candidates(planned.config.tuning)
     if len(tried) == 1:
         return tried[0]
-    scores = tuning_scores(store.tuned(store.task_folder(out, cell)), cell.repr, tried)
+    tuned = store.tuned(store.task_folder(out, cell), planned.trust)
+    scores = tuning_scores(tuned, cell.repr, tried)
     return max(scores, key=lambda candidate: scores[candidate])
 
 
@@ -131,23 +135,24 @@ def _run(title: str, jobs: Sequence[Job], planned: Plan, out: Path, engine: Engi
         raise KeyboardInterrupt
 
 
-def dry_run(config: CompareConfig, out: Path, workers: int) -> None:
-    """Print the grid, and what it will take on this machine."""
-    planned = plan(config)
+def dry_run(config: CompareConfig, out: Path, workers: int, trust: bool = False) -> None:
+    """Print the grid, and what it will take on this machine. trust: as of ``Plan``."""
+    planned = plan(config, trust)
     rows = [["", "N", "Z", "tuning runs", "runs", "finished", "steps each"]]
     for env, repr in product(config.env, config.repr):
         tuning, study = (
             [cell for cell in cells if (cell.env, cell.repr) == (env, repr)]
             for cells in (planned.tuning, planned.study)
         )
-        finished = len(study) - len(unfinished(study, out))
+        finished = len(study) - len(unfinished(study, out, trust))
         slots = planned.slots[env] if issubclass(representation(repr), APEncoder) else ""
         sizes = (planned.vehicles[env], slots, len(tuning), len(study), finished)
         rows.append([f"{env} {repr}", *map(str, sizes), f"{config.steps:,}"])
     show(terminal(rows, "Grid"))
     seconds, memory = 0.0, 0
     for env in config.env:
-        cells = [c for c in unfinished([*planned.tuning, *planned.study], out) if c.env == env]
+        cells = [cell for cell in [*planned.tuning, *planned.study] if cell.env == env]
+        cells = unfinished(cells, out, trust)
         if cells:
             found = cost(train_config(config, cells[0], planned.slots[env]))
             say(

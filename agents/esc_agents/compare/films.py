@@ -23,7 +23,7 @@ WIDEST = 640  # pixels of a tall picture beside others, or a wide one above othe
 LABEL = 18  # pixels
 
 
-def film_of(task: Task, out: Path) -> documents.Image | None:
+def film_of(task: Task, out: Path, trust: bool = False) -> documents.Image | None:
     """The animation of a scenario; made once, while the runs' policies are there."""
     path = out / f"drive-{task.folder.name}.gif"
     names = ", ".join(task.reprs)
@@ -34,7 +34,7 @@ def film_of(task: Task, out: Path) -> documents.Image | None:
             return None
         films = {}
         for repr, folder in folders.items():
-            policy, _ = load_policy(folder)
+            policy, _ = load_policy(folder, trust=trust)
             config = TrainConfig.model_validate(runs[repr].config)
             films[repr] = record(config, model_policy(policy), EPISODES)
         rate = next(iter(films.values()))[1]

@@ -65,11 +65,15 @@ class Job(Protocol):
 
 @dataclass(frozen=True)
 class TrainJob:
-    """Trains a run, from its last checkpoint if it has one, and measures its policy."""
+    """Trains a run, from its last checkpoint if it has one, and measures its policy.
+
+    trust: whether what others wrote into its directory may run code.
+    """
 
     config: CompareConfig
     cell: Cell
     slots: int
+    trust: bool = False
 
     @property
     def name(self) -> str:
@@ -82,7 +86,7 @@ class TrainJob:
         start = time.perf_counter()
         config, folder = train_config(self.config, self.cell, self.slots), self.files(out)[0]
         with _into_log(out, self.cell):
-            _train(config, folder, post, self.name)
+            _train(config, folder, post, self.name, self.trust)
             # Of no use any more, and with SAC's replay buffer hundreds of MB for each run. Before
             # the result, since who has that is not asked again.
             rmtree(folder / "checkpoints", ignore_errors=True)
@@ -96,7 +100,7 @@ class TrainJob:
 
     def _measured(self, config: TrainConfig, folder: Path, start: float) -> Result:
         cell, episodes = self.cell, range(EPISODES, EPISODES + self.config.episodes)
-        policy, _ = load_policy(folder, "cpu")
+        policy, _ = load_policy(folder, "cpu", trust=self.trust)
         encoder = encoder_of(policy)
         slots = encoder.slots if isinstance(encoder, APEncoder) else None
         vehicles = encoder.max_vehicles
@@ -150,7 +154,7 @@ def _into_log(out: Path, cell: Cell) -> Iterator[None]:
         yield
 
 
-def _train(config: TrainConfig, folder: Path, post: Post, name: str) -> None:
+def _train(config: TrainConfig, folder: Path, post: Post, name: str, trust: bool) -> None:
     """Train into ``folder``, or go on there; nothing where it is done. Raises Interrupted."""
     listener = _Listener(name, post)
     if folder.exists():
@@ -163,12 +167,12 @@ def _train(config: TrainConfig, folder: Path, post: Post, name: str) -> None:
         if run_directory.finished(folder):
             run_directory.verify(folder, "policy.json", "policy.safetensors", "evaluations.npz")
             return
-        begun = run_directory.open_run(folder)
+        begun = run_directory.open_run(folder, trust)
         if begun.model_copy(update={"run_dir": None}) != config:
             raise UserError(
                 f"{folder} was trained with other settings; remove it, and its run is done anew"
             )
-        finished = train(begun, resume=folder, listeners=[listener])
+        finished = train(begun, resume=folder, trust=trust, listeners=[listener])
     else:
         finished = train(config.model_copy(update={"run_dir": folder}), listeners=[listener])
     if not finished:

@@ -46,14 +46,14 @@ nothing the intervals are over episodes. Min TTC: median over episodes of the le
 collision. Every driver drove the same episodes."""
 
 
-def write_report(out: Path) -> None:
+def write_report(out: Path, trust: bool = False) -> None:
     """Print the tables of what ``out`` holds; write report.html, .md, CSV files and pictures."""
-    tasks = load(out)
+    tasks = load(out, trust)
     if not tasks:
         raise UserError(f"expected results of esc-compare in {out}, found none")
     blocks = [
         *verdicts(tasks), *details(tasks), *learning(tasks), *robustness(tasks), *transfers(tasks),
-        *films(tasks, out), *fairness(tasks), *tuning(tasks), *provenance(tasks, out),
+        *films(tasks, out, trust), *fairness(tasks), *tuning(tasks), *provenance(tasks, out),
     ]  # fmt: skip
     for task in tasks:
         show(terminal(list(table(task)), task.name))
@@ -234,9 +234,9 @@ def transfers(tasks: Sequence[Task]) -> Iterator[Block]:
         yield picture(name, figures.transfers(task, reprs), alt)
 
 
-def films(tasks: Sequence[Task], out: Path) -> Iterator[Block]:
+def films(tasks: Sequence[Task], out: Path, trust: bool) -> Iterator[Block]:
     """The same episode, driven by each representation."""
-    made = [image for task in tasks if (image := film_of(task, out))]
+    made = [image for task in tasks if (image := film_of(task, out, trust))]
     if made:
         yield Heading("On the road")
         yield Text("The same episode with each representation's first run at the wheel.")

@@ -6,6 +6,9 @@
                        results/*.json   runs of the study
                        runs/            directories of esc-train, and what it said; no
                                         checkpoints of finished runs
+
+``trust``, where a function reads: whether files that this user did not write may name code to
+import; else they are a UserError.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ from typing import Any
 
 import yaml
 
-from esc_agents import files
+from esc_agents import files, strangers
 from esc_agents.compare.grid import Candidate, Cell, CompareConfig, task_name
 from esc_agents.driving.episodes import Episode, Summary, as_rows, summaries
 from esc_agents.errors import UserError
@@ -116,26 +119,26 @@ def write(out: Path, result: Result | Tuned) -> None:
     records.write(path, SCHEMA, content)
 
 
-def read(out: Path, cell: Cell) -> Result | Tuned | None:
+def read(out: Path, cell: Cell, trust: bool = False) -> Result | Tuned | None:
     """A run's result, None where there is none yet. Raises UserError for a damaged one."""
     path = path_of(out, cell)
     if not path.exists():
         return None
     with _told(path):
-        result = _read(path, Tuned if cell.tuning else Result)
+        result = _read(path, Tuned if cell.tuning else Result, trust)
         if (result.cell.task, result.cell.name) != (cell.task, cell.name):
             raise Damaged(f"{path}: holds another run, {result.cell.name}")
         return result
 
 
-def results(folder: Path) -> list[Result]:
+def results(folder: Path, trust: bool = False) -> list[Result]:
     """All results of the study in a task's folder. Raises UserError for a damaged one."""
-    return [_whole(path, Result) for path in sorted((folder / "results").glob("*.json"))]
+    return [_whole(path, Result, trust) for path in sorted((folder / "results").glob("*.json"))]
 
 
-def tuned(folder: Path) -> list[Tuned]:
+def tuned(folder: Path, trust: bool = False) -> list[Tuned]:
     """All tuning runs in a task's folder. Raises UserError for a damaged one."""
-    return [_whole(path, Tuned) for path in sorted((folder / "tuning").glob("*.json"))]
+    return [_whole(path, Tuned, trust) for path in sorted((folder / "tuning").glob("*.json"))]
 
 
 def write_baselines(folder: Path, baselines: Baselines) -> None:
@@ -144,18 +147,18 @@ def write_baselines(folder: Path, baselines: Baselines) -> None:
     records.write(folder / "baselines.json", SCHEMA, content)
 
 
-def baselines(folder: Path) -> Baselines | None:
+def baselines(folder: Path, trust: bool = False) -> Baselines | None:
     """A task's baselines, None where there are none yet. Raises UserError for damaged ones."""
     path = folder / "baselines.json"
     if not path.exists():
         return None
     with _told(path):
-        content = records.read(path, SCHEMA)
+        content = records.read(path, SCHEMA, trust)
         (rule,) = summaries([{"policy": "rule", **content.pop("rule")}]).values()
         return Baselines(summaries(content.pop("blind")), rule, **content)
 
 
-def begin_task(out: Path, config: CompareConfig, env: str) -> None:
+def begin_task(out: Path, config: CompareConfig, env: str, trust: bool = False) -> None:
     """Note what all runs of a scenario share. Raises UserError where it is not what it was."""
     folder = out / task_name(env, config.algo)
     path = folder / "task.yaml"
@@ -163,9 +166,10 @@ def begin_task(out: Path, config: CompareConfig, env: str) -> None:
     asked["transfer"] = config.transfer.get(env, {})
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        files.write_text(path, yaml.safe_dump(asked, sort_keys=False))
+        text = f"# mac: {strangers.BLANK}\n{yaml.safe_dump(asked, sort_keys=False)}"
+        files.write_text(path, strangers.signed(text))
         return
-    found = task_settings(folder)
+    found = task_settings(folder, trust)
     for key in {**found, **asked}:
         if found.get(key) != asked.get(key):
             raise UserError(
@@ -174,15 +178,18 @@ def begin_task(out: Path, config: CompareConfig, env: str) -> None:
             )
 
 
-def task_settings(folder: Path) -> dict[str, Any]:
+def task_settings(folder: Path, trust: bool = False) -> dict[str, Any]:
     """What ``begin_task`` noted. Raises UserError where it is damaged."""
+    path = folder / "task.yaml"
     try:
-        settings = yaml.safe_load((folder / "task.yaml").read_text(encoding="utf-8"))
+        data = path.read_bytes()
+        settings = yaml.safe_load(data.decode())
         if not isinstance(settings, dict):
             raise ValueError("no mapping in it")
-        return settings
     except (OSError, ValueError, yaml.YAMLError) as error:
-        raise UserError(f"{folder / 'task.yaml'} is damaged: {error}") from error
+        raise UserError(f"{path} is damaged: {error}") from error
+    strangers.check(path, data, settings, trust)
+    return settings
 
 
 def task_folders(out: Path) -> Iterator[Path]:
@@ -190,9 +197,9 @@ def task_folders(out: Path) -> Iterator[Path]:
     yield from (path.parent for path in sorted(out.glob("*/task.yaml")))
 
 
-def _whole(path: Path, type_: Any) -> Any:
+def _whole(path: Path, type_: Any, trust: bool) -> Any:
     with _told(path):
-        return _read(path, type_)
+        return _read(path, type_, trust)
 
 
 @contextmanager
@@ -205,8 +212,8 @@ def _told(path: Path) -> Iterator[None]:
         raise UserError(f"{what}; remove it and start again, and its run is done anew") from error
 
 
-def _read(path: Path, type_: type[Result] | type[Tuned]) -> Any:
-    content = records.read(path, SCHEMA)
+def _read(path: Path, type_: type[Result] | type[Tuned], trust: bool) -> Any:
+    content = records.read(path, SCHEMA, trust)
     cell = content.pop("cell")
     cell["candidate"] = Candidate(**cell["candidate"])
     content["cell"] = Cell(**cell)

@@ -22,7 +22,7 @@ from stable_baselines3.common.policies import BasePolicy, MultiInputActorCriticP
 from stable_baselines3.sac.policies import MultiInputPolicy as SACPolicy
 from torch import Tensor
 
-from esc_agents import files
+from esc_agents import files, strangers
 from esc_agents.config import TrainConfig
 from esc_agents.errors import UserError
 from esc_gym.extractors import SetExtractor
@@ -65,12 +65,14 @@ class DiscreteSpace(_Described):
 class PolicyDescription(_Described):
     """Everything of a policy but its weights.
 
-    sha256: of the file of weights. steps: of training. encoder: arguments of esc_gym's
-    SetExtractor. observation: what wrapper.json of the run says, the meaning of the inputs.
+    sha256: of the file of weights. mac: see ``strangers.signed``. steps: of training. encoder:
+    arguments of esc_gym's SetExtractor. observation: what wrapper.json of the run says, the meaning
+    of the inputs.
     """
 
     schema_version: Literal[1] = 1
     sha256: str
+    mac: str = strangers.BLANK
     algo: Literal["ppo", "sac"]
     steps: int
     ego: BoxSpace
@@ -117,17 +119,22 @@ def save_policy(
         versions=files.versions(),
     )
     files.write_atomically(folder / f"{name}.safetensors", lambda file: file.write(weights))
-    files.write_text(folder / f"{name}.json", description.model_dump_json(indent=2) + "\n")
+    text = strangers.signed(description.model_dump_json(indent=2) + "\n")
+    files.write_text(folder / f"{name}.json", text)
 
 
-def load_policy(folder: Path, device: str = "cpu", name: str = "policy") -> tuple[Any, int]:
+def load_policy(
+    folder: Path, device: str = "cpu", name: str = "policy", trust: bool = False
+) -> tuple[Any, int]:
     """(policy, training steps) from the two files; nothing is unpickled.
 
+    trust: whether a description that this user did not write may name an encoder to import.
     Raises UserError where they are missing, damaged, or do not belong together.
     """
     described, stored = folder / f"{name}.json", folder / f"{name}.safetensors"
     try:
-        description = PolicyDescription.model_validate_json(described.read_bytes())
+        data = described.read_bytes()
+        description = PolicyDescription.model_validate_json(data)
         weights = stored.read_bytes()
     except FileNotFoundError as missing:
         raise UserError(f"{folder}: expected {Path(missing.filename).name} in it") from missing
@@ -142,6 +149,7 @@ def load_policy(folder: Path, device: str = "cpu", name: str = "policy") -> tupl
             f"{stored} does not match the checksum in {described.name}: it is damaged, or its run "
             f"was killed between the two, and esc-train --resume {folder} writes them again"
         )
+    strangers.check(described, data, description.encoder, trust)
     try:
         policy = description.build()
         _set_weights(policy, load(weights))

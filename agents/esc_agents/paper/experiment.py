@@ -66,13 +66,15 @@ def study(name: str, benchmarks: Sequence[int], seeds: Sequence[int]) -> list[Ce
     ]
 
 
-def run(cells: Sequence[Cell], updates: int, device: str, workers: int, out: Path) -> None:
+def run(
+    cells: Sequence[Cell], updates: int, device: str, workers: int, out: Path, trust: bool = False
+) -> None:
     """Train those of ``cells`` that ``out`` does not hold yet, ``workers`` at a time."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"--out {out}: {error.strerror}") from error
-    missing = [cell for cell in cells if not finished(cell, updates, out)]
+    missing = [cell for cell in cells if not finished(cell, updates, out, trust)]
     say(f"{len(cells)} cells, {len(cells) - len(missing)} of them finished, into {out}")
     if not missing:
         return
@@ -105,13 +107,13 @@ def groups(cells: Sequence[Cell], together: bool) -> list[list[Cell]]:
     return list(found.values())
 
 
-def finished(cell: Cell, updates: int, out: Path) -> bool:
+def finished(cell: Cell, updates: int, out: Path, trust: bool = False) -> bool:
     """Does ``out`` hold the cell? A damaged file is named, and trained again.
 
     Raises UserError for a cell that was trained with another number of updates.
     """
     try:
-        result = results.read(out, cell)
+        result = results.read(out, cell, trust)
     except Damaged as damaged:
         say(f"{damaged}; it is trained again")
         return False

@@ -49,12 +49,12 @@ mean squared errors are compared above; these are the roots of both:"""
 _DEVIATION = re.compile(r"±[^*]*")
 
 
-def load(folder: Path) -> list[Result]:
+def load(folder: Path, trust: bool = False) -> list[Result]:
     """All results in a directory. Raises UserError where there are none, or names the damaged."""
     found, damaged = [], []
     for path in sorted(folder.glob("b*.json")):
         try:
-            found.append(read_file(path))
+            found.append(read_file(path, trust))
         except Damaged as error:
             damaged.append(str(error))
     if damaged:
@@ -64,9 +64,9 @@ def load(folder: Path) -> list[Result]:
     return found
 
 
-def report(out: Path) -> None:
+def report(out: Path, trust: bool = False) -> None:
     """Print the table of the cells in ``out``; write the report and its pictures there."""
-    results = load(out / "cells")
+    results = load(out / "cells", trust)
     ours = [r for r in results if r.cell.init == INIT]
     table, other = entries(ours), entries([r for r in results if r.cell.init != INIT])
     blocks = [*summary(ours, table), *studies(ours), *other_init(other), *provenance(results)]

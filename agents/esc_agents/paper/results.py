@@ -47,20 +47,20 @@ def write(folder: Path, result: Result) -> None:
     records.write(path_of(folder, result.cell), SCHEMA, asdict(result))
 
 
-def read(folder: Path, cell: Cell) -> Result | None:
-    """A cell's result, None if it was not trained yet. Raises Damaged."""
+def read(folder: Path, cell: Cell, trust: bool = False) -> Result | None:
+    """A cell's result, None if it was not trained yet. Raises Damaged. trust: of ``records``."""
     path = path_of(folder, cell)
     if not path.exists():
         return None
-    result = read_file(path)
+    result = read_file(path, trust)
     if result.cell != cell:
         raise Damaged(f"{path}: holds another cell, {result.cell}")
     return result
 
 
-def read_file(path: Path) -> Result:
-    """The result in a file. Raises Damaged."""
-    record = records.read(path, SCHEMA)
+def read_file(path: Path, trust: bool = False) -> Result:
+    """The result in a file. Raises Damaged. trust: of ``records``."""
+    record = records.read(path, SCHEMA, trust)
     try:
         points = [
             Point(point["update"], {int(size): e for size, e in point["errors"].items()})

@@ -12,22 +12,18 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
-import os
 import pickle
-import secrets
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 from typing import Any
 
 import torch
-from platformdirs import user_state_path
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from esc_agents import files
+from esc_agents import files, strangers
 from esc_agents.driving.wrappers import generators, set_generators
 from esc_agents.errors import UserError
 
@@ -108,7 +104,7 @@ def write(folder: Path, steps: int, state: bytes) -> Path:
     header = {
         "schema": SCHEMA, "steps": steps, "size": len(state),
         "sha256": sha256(state),
-        "mac": hmac.digest(_key(), state, "sha256").hex(), "versions": files.versions(),
+        "mac": strangers.sign(state).hex(), "versions": files.versions(),
     }  # fmt: skip
     path = path_of(folder, steps)
 
@@ -153,7 +149,7 @@ def read(path: Path, trust: bool = False) -> bytes:
         raise Damaged(f"{path} is cut off: expected {size!r} bytes, got {len(state)}")
     if sha256(state) != digest:
         raise Damaged(f"{path} is damaged: its contents do not match their checksum")
-    ours = hmac.digest(_key(), state, "sha256").hex()
+    ours = strangers.sign(state).hex()
     if not trust and not hmac.compare_digest(ours.encode(), str(mac).encode(errors="replace")):
         raise UserError(
             f"{path} was not written by you on this machine, and to load it can run code of "
@@ -165,23 +161,6 @@ def read(path: Path, trust: bool = False) -> bytes:
 def _version(header: Any) -> str:
     found = header.get("versions")
     return str(found.get("esc-gym")) if isinstance(found, dict) else "unknown"
-
-
-def _key() -> bytes:
-    """This user's secret, made on first use."""
-    path = user_state_path("esc_gym") / "checkpoint.key"
-    new = path.with_name(f"{path.name}.{os.getpid()}")
-    try:
-        if not path.exists():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with open(os.open(new, os.O_WRONLY | os.O_CREAT, 0o600), "wb") as file:
-                file.write(secrets.token_bytes(32))
-            with suppress(FileExistsError):  # another process was first: then its key counts
-                os.link(new, path)
-            new.unlink()
-        return path.read_bytes()
-    except OSError as error:
-        raise UserError(f"checkpoints need {path}: {error.strerror}") from error
 
 
 class Writer:

@@ -26,7 +26,7 @@ def evaluate_run(
     shuffle: permute the vehicles of every observation. video: folder for GIFs of the first
     ``videos`` episodes. json_file: for summary and episodes. trust: load a pickle if need be.
     """
-    config = run_directory.open_run(run_dir).model_copy(update={"device": device})
+    config = run_directory.open_run(run_dir, trust).model_copy(update={"device": device})
     model, steps = load_model(config, run_dir, trust)
     _check_outputs(video, json_file)
     envs = vectorise(config, min(config.n_envs, episodes), evaluation=True, shuffle=shuffle)

@@ -63,7 +63,7 @@ def load_model(config: TrainConfig, directory: Path, trust: bool = False) -> tup
     device = str(get_device(config.device))
     for name in ("policy", "best_policy"):
         if (directory / f"{name}.json").exists():
-            return load_policy(directory, device, name)
+            return load_policy(directory, device, name, trust)
     path = directory / "model.zip"
     if not path.exists():
         raise UserError(f"{directory} holds no policy yet: expected policy.safetensors in it")

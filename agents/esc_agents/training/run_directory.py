@@ -19,7 +19,7 @@ import numpy as np
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
-from esc_agents import files
+from esc_agents import files, strangers
 from esc_agents.config import TrainConfig, dump, load_config
 from esc_agents.errors import UserError
 
@@ -97,8 +97,8 @@ def note_session(path: Path, config: TrainConfig) -> None:
 
 
 def _note_config(folder: Path, config: TrainConfig, path: Path) -> None:
-    text = f"# esc-train --config {path}/config.yaml\n{dump(config)}"
-    files.write_text(folder / "config.yaml", text)
+    text = f"# esc-train --config {path}/config.yaml\n# mac: {strangers.BLANK}\n{dump(config)}"
+    files.write_text(folder / "config.yaml", strangers.signed(text))
 
 
 def note_command(path: Path) -> None:
@@ -108,12 +108,12 @@ def note_command(path: Path) -> None:
     files.write_text(commands, before + shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) + "\n")
 
 
-def open_run(path: Path) -> TrainConfig:
-    """The configuration of an existing run."""
+def open_run(path: Path, trust: bool = False) -> TrainConfig:
+    """The configuration of an existing run. trust: as of ``config.load``."""
     if not (path / "config.yaml").is_file():
         raise UserError(f"{path} is no run directory: expected a config.yaml in it")
     verify(path, "config.yaml")
-    return load_config(path / "config.yaml")
+    return load_config(path / "config.yaml", trust)
 
 
 def finish(path: Path, results: list[dict[str, Any]]) -> None:

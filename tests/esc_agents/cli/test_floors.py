@@ -7,7 +7,7 @@ from tests.esc_agents.tiny import tiny
 
 
 def test_every_blind_policy_stands_in_the_table(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(floors, "load_config", lambda name: tiny())
+    monkeypatch.setattr(floors, "load_config", lambda name, trust: tiny())
     out = tmp_path / "docs" / "floors.md"
     assert floors.command(["--scenarios", "small", "--episodes", "2", "--out", str(out)]) == 0
     text = out.read_text()
