@@ -117,7 +117,7 @@ def test_a_full_disk_is_said_and_training_goes_on(tmp_path, monkeypatch):
     def full(path, fill):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(checkpoint.files, "write_atomically", full)
+    monkeypatch.setattr("esc_agents.files.write_atomically", full)
     writer.write(20, STATE)
     writer.wait()
     (line,) = said
