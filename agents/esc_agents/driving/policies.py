@@ -25,6 +25,7 @@ from torch import Tensor
 from esc_agents import files, strangers
 from esc_agents.config import TrainConfig
 from esc_agents.errors import UserError
+from esc_gym.adaptation import pinned_arguments
 from esc_gym.extractors import SetExtractor
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
@@ -66,8 +67,8 @@ class PolicyDescription(_Described):
     """Everything of a policy but its weights.
 
     sha256: of the file of weights. mac: see ``strangers.signed``. steps: of training. encoder:
-    arguments of esc_gym's SetExtractor. observation: what wrapper.json of the run says, the meaning
-    of the inputs.
+    arguments of esc_gym's SetExtractor, all sizes said. observation: what wrapper.json of the run
+    says, the meaning of the inputs.
     """
 
     schema_version: Literal[1] = 1
@@ -97,8 +98,8 @@ class PolicyDescription(_Described):
 
 
 def save_policy(
-    folder: Path, model: BaseAlgorithm, config: TrainConfig, encoder: dict[str, Any],
-    observation: dict[str, Any], name: str = "policy",
+    folder: Path, model: BaseAlgorithm, config: TrainConfig, observation: dict[str, Any],
+    name: str = "policy",
 ) -> None:  # fmt: skip
     """Write the policy of ``model`` as ``name``.safetensors and ``name``.json into ``folder``."""
     weights = save(_weights(model.policy))
@@ -113,7 +114,7 @@ def save_policy(
         action=DiscreteSpace(n=int(action.n))
         if isinstance(action, spaces.Discrete)
         else BoxSpace.of(action),
-        encoder=encoder,
+        encoder=pinned_arguments(model.policy),
         net_arch=config.hyperparameters.net_arch,
         observation=observation,
         versions=files.versions(),
