@@ -164,6 +164,28 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         # Some environments of highway-env return numpy.bool here, which SB3's checker refuses.
         return observation, reward, bool(terminated), bool(truncated), info
 
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Which meta-actions are available now: bool [number of actions].
+
+        Not available: lane changes off the road, and speeds beyond the lowest and highest target
+        speed. MaskablePPO of sb3-contrib asks for this, so that it takes our ids as they are:
+
+            MaskablePPO("MultiInputPolicy", gym.make("esc_gym/highway-v0"),
+                        policy_kwargs={"features_extractor_class": ESCExtractor})
+
+        Raises ValueError where the actions are throttle and steering, all of them always available.
+        """
+        base: Any = self.unwrapped
+        try:
+            available = base.action_type.get_available_actions()
+        except NotImplementedError:
+            raise ValueError(
+                "action_masks: expected meta-actions, got "
+                f"{base.config['action']['type']}, whose actions are always available; use "
+                "DiscreteMetaAction, or an algorithm without masks."
+            ) from None
+        return np.isin(np.arange(base.action_space.n), available)
+
     def decode(self, observation: Mapping[str, NDArray]) -> Observation:
         """Physical units (m, m/s, 1) of an observation, or of a batch ``[..., N, d1]`` of them.
 

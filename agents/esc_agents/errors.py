@@ -7,6 +7,12 @@ class UserError(Exception):
     """One line for the user: what was expected, what came, what to do. Exit code 2."""
 
 
+def reason(error: BaseException) -> str:
+    """What an exception says, in one line; its type too unless it is meant for the user."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, UserError) else f"{type(error).__name__}: {text}"
+
+
 def say(text: str) -> None:
     """To people, at once."""
     print(text, flush=True)

@@ -15,6 +15,7 @@ from esc_agents.compare import store
 from esc_agents.compare.grid import Candidate
 from esc_agents.compare.store import Baselines, Result, Tuned
 from esc_agents.driving.episodes import MEANS, Episode, Summary
+from esc_agents.driving.rule_driver import RULE
 from esc_agents.reporting.statistics import (
     Estimate,
     difference_of_means,
@@ -74,10 +75,10 @@ class Task:
 
     def normal(self, repr: str) -> list[float] | None:
         """Scores: 0 is the best blind policy and 1 is IDM/MOBIL; None where that is not more."""
-        low, high = self.floor[1].reward, self.baselines.rule.reward
-        if high <= low:
+        low, rule = self.floor[1].reward, self.baselines.rule
+        if rule is None or rule.reward <= low:
             return None
-        return [(score - low) / (high - low) for score in self.scores(repr)]
+        return [(score - low) / (rule.reward - low) for score in self.scores(repr)]
 
 
 @dataclass(frozen=True)
@@ -272,8 +273,14 @@ def run_rows(tasks: Sequence[Task]) -> Iterator[dict[str, Any]]:
 
 
 def drivers(task: Task) -> dict[str, Summary]:
-    """Drivers that learn nothing, IDM/MOBIL first."""
-    return {"IDM/MOBIL": task.baselines.rule, **task.baselines.blind}
+    """Drivers that learn nothing, IDM/MOBIL first if it drove."""
+    rule = task.baselines.rule
+    return {**({RULE: rule} if rule else {}), **task.baselines.blind}
+
+
+def missing(task: Task) -> list[str]:
+    """A sentence for each driver that is not there."""
+    return [f"{name} is missing: {why}." for name, why in task.baselines.missing.items()]
 
 
 def _columns(name: str, estimate: Estimate) -> dict[str, float]:

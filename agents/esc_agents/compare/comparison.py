@@ -27,7 +27,7 @@ from esc_agents.compare.jobs import BaselineJob, Interrupted, Job, TrainJob
 from esc_agents.compare.progress import Board
 from esc_agents.compare.report import write_report
 from esc_agents.driving.checks import check
-from esc_agents.errors import UserError, say
+from esc_agents.errors import UserError, reason, say
 from esc_agents.reporting.tables import show, terminal
 from esc_agents.training.run_directory import locked, note_command
 from esc_gym.encoders import APEncoder, representation
@@ -126,10 +126,9 @@ def _run(title: str, jobs: Sequence[Job], planned: Plan, out: Path, engine: Engi
     failed = [(job, error) for job, error in board.failed if not isinstance(error, Interrupted)]
     if failed:
         job, error = failed[0]
-        reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
         raise UserError(
             f"{len(failed)} of {len(jobs)} jobs failed, the rest is kept; the first is {job.name}: "
-            f"{reason}"
+            f"{reason(error)}"
         )
     if board.failed:
         raise KeyboardInterrupt

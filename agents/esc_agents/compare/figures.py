@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from esc_agents.compare.analysis import Task, duels, overall_duels, row, transfer
+from esc_agents.driving.rule_driver import RULE
 from esc_agents.reporting import plots
 from esc_agents.reporting.statistics import Estimate
 
@@ -101,13 +102,14 @@ def transfers(task: Task, reprs: Sequence[str]) -> Figure:
 
 
 def _limits(axes: Axes, task: Task) -> None:
-    """Lines of the best blind policy and of IDM/MOBIL."""
-    marks: Mapping[str, tuple[float, str]] = {
-        "IDM/MOBIL": (task.baselines.rule.reward, "-."),
-        "best blind policy": (task.floor[1].reward, ":"),
-    }
-    for label, (value, style) in marks.items():
-        axes.axhline(value, color=plots.GREY, linestyle=style, linewidth=1.2, label=label, zorder=0)
+    """Lines of the best blind policy and of IDM/MOBIL, if it drove."""
+    marks = (RULE, task.baselines.rule, "-."), ("best blind policy", task.floor[1], ":")
+    for label, summary, style in marks:
+        if summary:
+            axes.axhline(
+                summary.reward, color=plots.GREY, linestyle=style, linewidth=1.2, label=label,
+                zorder=0,
+            )  # fmt: skip
 
 
 def _interval(axes: Axes, x: float, estimate: Estimate) -> None:

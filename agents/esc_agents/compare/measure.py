@@ -15,9 +15,11 @@ from torch import nn
 from esc_agents import files
 from esc_agents.compare.store import Baselines, OrderEffect
 from esc_agents.config import TrainConfig
-from esc_agents.driving.baselines import floors, rule_driver
-from esc_agents.driving.episodes import Episode, evaluate, model_policy
+from esc_agents.driving.baselines import blind_drives, rule_driver
+from esc_agents.driving.episodes import Episode, Summary, evaluate, model_policy
+from esc_agents.driving.rule_driver import RULE
 from esc_agents.driving.vectorised import closing, vectorise
+from esc_agents.errors import UserError, reason
 from esc_gym.adaptation import adapt
 from esc_gym.encoders import APEncoder, SetEncoder
 
@@ -51,10 +53,25 @@ def _envs(config: TrainConfig, policy: Any, episodes: int, **options: Any) -> It
 
 
 def baselines(config: TrainConfig, first_seed: int, episodes: int) -> Baselines:
-    """Every blind policy of a scenario, and IDM/MOBIL in the ego's place."""
+    """Every blind policy of a scenario, and IDM/MOBIL in the ego's place; or why not.
+
+    Raises UserError where no blind policy could drive.
+    """
     evaluation = config.evaluation.model_copy(update={"seed": first_seed})
     config = config.model_copy(update={"evaluation": evaluation})
-    return Baselines(floors(config, episodes), rule_driver(config, episodes), files.versions())
+    seeds = range(first_seed, first_seed + episodes)
+    drives = blind_drives(config, episodes)
+    drives[RULE] = lambda: Summary.of(rule_driver(config, seeds))
+    found, missing = {}, {}
+    for name, driven in drives.items():
+        try:
+            found[name] = driven()
+        except Exception as error:  # of one driver, which must not take the others with it
+            missing[name] = reason(error)
+    rule = found.pop(RULE, None)
+    if not found:
+        raise UserError(f"no blind policy could drive: {next(iter(missing.values()))}")
+    return Baselines(found, rule, files.versions(), missing)
 
 
 def network_of(policy: Any) -> nn.Module:

@@ -17,6 +17,7 @@ from esc_agents.compare.analysis import (
     drivers,
     duels,
     load,
+    missing,
     overall,
     overall_duels,
     row,
@@ -57,6 +58,8 @@ def write_report(out: Path, trust: bool = False) -> None:
     ]  # fmt: skip
     for task in tasks:
         show(terminal(list(table(task)), task.name))
+        for sentence in missing(task):
+            say(sentence)
     for name, lines in {"summary": summary_rows(tasks), "runs": run_rows(tasks)}.items():
         files.write_text(out / f"{name}.csv", as_csv(lines))
     written = write(out, "report", TITLE, blocks)
@@ -98,9 +101,9 @@ def _overall(tasks: Sequence[Task]) -> Iterator[Block]:
     if found := overall(tasks):
         yield Text(
             "IQM of returns over all scenarios, on a scale where 0 is the best blind policy of the "
-            "scenario and 1 is IDM/MOBIL (not where that is no better), of representations that "
-            "ran in all; and the probability that ESC improves on a rival, mean over the scenarios "
-            "that both ran in:"
+            "scenario and 1 is IDM/MOBIL (not where that is no better, or missing), of "
+            "representations that ran in all; and the probability that ESC improves on a rival, "
+            "mean over the scenarios that both ran in:"
         )
         better = overall_duels(tasks)
         yield Rows([["", "IQM", "probability of improvement"], *(
@@ -136,6 +139,9 @@ def details(tasks: Sequence[Task]) -> Iterator[Block]:
             f"{', '.join(map(str, seeds))}"
         )
         yield Rows(list(table(task)))
+        if sentences := missing(task):
+            again = f"esc-compare tries again without `{task.folder.name}/baselines.json`."
+            yield Text(" ".join([*sentences, again]))
 
 
 def table(task: Task) -> Iterator[list[str]]:

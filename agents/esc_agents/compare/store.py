@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -84,11 +84,15 @@ class Tuned:
 
 @dataclass(frozen=True)
 class Baselines:
-    """Drivers that learn nothing, on the episodes of the study: blind ones, and IDM/MOBIL."""
+    """Drivers that learn nothing, on the episodes of the study: blind ones, and IDM/MOBIL.
+
+    missing: why, by name, those that are not there could not drive.
+    """
 
     blind: dict[str, Summary]
-    rule: Summary
+    rule: Summary | None
     made_with: dict[str, str]
+    missing: dict[str, str] = field(default_factory=dict)
 
 
 def task_folder(out: Path, cell: Cell) -> Path:
@@ -154,7 +158,8 @@ def baselines(folder: Path, trust: bool = False) -> Baselines | None:
         return None
     with _told(path):
         content = records.read(path, SCHEMA, trust)
-        (rule,) = summaries([{"policy": "rule", **content.pop("rule")}]).values()
+        if rule := content.pop("rule"):
+            (rule,) = summaries([{"policy": "rule", **rule}]).values()
         return Baselines(summaries(content.pop("blind")), rule, **content)
 
 

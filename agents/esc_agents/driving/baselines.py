@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ import numpy as np
 from esc_agents import files
 from esc_agents.config import TrainConfig
 from esc_agents.driving.checks import check
-from esc_agents.driving.episodes import Policy, Summary, evaluate, table
+from esc_agents.driving.environments import make_env
+from esc_agents.driving.episodes import Episode, Policy, Summary, evaluate, table
 from esc_agents.driving.vectorised import closing, vectorise
 from esc_agents.errors import say
 from esc_agents.reporting.tables import markdown
@@ -59,23 +61,37 @@ def action_names(env: Any) -> dict[int, str]:
 
 def floors(config: TrainConfig, episodes: int) -> dict[str, Summary]:
     """Every blind policy of a scenario on ``episodes`` fixed seeds."""
+    return {name: drive() for name, drive in blind_drives(config, episodes).items()}
+
+
+def blind_drives(config: TrainConfig, episodes: int) -> dict[str, Callable[[], Summary]]:
+    """By name, what has each blind policy drive ``episodes`` fixed seeds."""
     probe = check(config)
-    seed = config.evaluation.seed
-    seeds = range(seed, seed + episodes)
-    count = min(config.n_envs, episodes)
-    with closing(vectorise(config, count, evaluation=True)) as envs:
-        blind = blind_policies(probe.action_space, count, action_names(probe), seed)
-        return {name: Summary.of(evaluate(envs, policy, seeds)) for name, policy in blind.items()}
+    first = config.evaluation.seed
+    seeds, count = range(first, first + episodes), min(config.n_envs, episodes)
+    blind = blind_policies(probe.action_space, count, action_names(probe), first)
+    return {name: partial(_drive, config, policy, seeds) for name, policy in blind.items()}
 
 
-def rule_driver(config: TrainConfig, episodes: int) -> Summary:
-    """highway-env's own driver, IDM and MOBIL, in the ego's place on the same seeds."""
-    seeds = range(config.evaluation.seed, config.evaluation.seed + episodes)
-    count = min(config.n_envs, episodes)
+def _drive(config: TrainConfig, policy: Policy, seeds: Sequence[int]) -> Summary:
+    # Environments of its own: those in which another policy met a fault are of no use any more.
+    with closing(vectorise(config, min(config.n_envs, len(seeds)), evaluation=True)) as envs:
+        return Summary.of(evaluate(envs, policy, seeds))
+
+
+def rule_driver(
+    config: TrainConfig, seeds: Sequence[int], stop: Callable[[], bool] = lambda: False
+) -> list[Episode]:
+    """Episodes of highway-env's own driver, IDM and MOBIL, in the ego's place.
+
+    stop: as in ``evaluate``. Raises UserError where it cannot drive.
+    """
+    make_env(config, rule_driver=True).close()  # here, since a worker could not say why
+    count = min(config.n_envs, len(seeds))
     with closing(vectorise(config, count, evaluation=True, rule_driver=True)) as envs:
         space = envs.action_space
         ignored = np.zeros((count, *(space.shape or ())), space.dtype)
-        return Summary.of(evaluate(envs, lambda observations: ignored, seeds))
+        return evaluate(envs, lambda observations: ignored, seeds, stop)
 
 
 def write_floors(configs: Mapping[str, TrainConfig], episodes: int, seed: int, out: Path) -> None:

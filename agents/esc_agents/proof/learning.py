@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from esc_agents import files
 from esc_agents.config import TrainConfig, load_config, scenarios
 from esc_agents.driving.episodes import Summary, summaries, table
+from esc_agents.driving.rule_driver import RULE
 from esc_agents.errors import UserError, say
 from esc_agents.reporting.statistics import mean_interval
 from esc_agents.reporting.tables import markdown
@@ -33,8 +34,9 @@ OWN = {"seed", "run_dir", "device", "threads", "vec", "checkpoint_every"}
 class Run:
     """A finished run.
 
-    trained, blind: results on the evaluation's episodes, blind ones by policy. curve: training
-    steps [k] and returns [k, episodes] of the evaluations on the way. metrics: rows of metrics.csv.
+    trained, blind, rule: results on the evaluation's episodes, blind ones by policy, of IDM/MOBIL
+    if it drove. curve: training steps [k] and returns [k, episodes] of the evaluations on the way.
+    metrics: rows of metrics.csv.
     """
 
     path: Path
@@ -43,6 +45,7 @@ class Run:
     versions: dict[str, str]
     trained: Summary
     blind: dict[str, Summary]
+    rule: Summary | None
     curve: tuple[NDArray, NDArray]
     metrics: list[dict[str, str]]
 
@@ -66,10 +69,10 @@ class Run:
                 metrics = list(csv.DictReader(file))
             versions = json.loads((path / "versions.json").read_text(encoding="utf-8"))
             commands = (path / "command.txt").read_text(encoding="utf-8").splitlines()
-            trained = results.pop(config.repr)
+            trained, rule = results.pop(config.repr), results.pop(RULE, None)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UserError(f"{path} is damaged: {type(error).__name__}: {error}") from error
-        return cls(path, config, tuple(commands), versions, trained, results, curve, metrics)
+        return cls(path, config, tuple(commands), versions, trained, results, rule, curve, metrics)
 
     @property
     def best_blind(self) -> str:
@@ -166,6 +169,8 @@ def text(runs: Sequence[Run], paths: Sequence[Path], out: Path) -> str:
     config = runs[0].config
     episodes = runs[0].trained.episodes
     rows = {f"{config.repr}, seed {r.config.seed}": r.trained for r in runs} | runs[0].blind
+    if rule := next((r.rule for r in runs if r.rule), None):  # runs made before have none
+        rows[RULE] = rule
     seeds = ", ".join(str(r.config.seed) for r in runs)
     return "\n".join(
         [

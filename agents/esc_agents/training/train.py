@@ -19,13 +19,22 @@ from torch.utils.tensorboard import SummaryWriter
 
 from esc_agents import files
 from esc_agents.config import TrainConfig
-from esc_agents.driving.baselines import action_names, blind_policies
+from esc_agents.driving.baselines import action_names, blind_policies, rule_driver
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import wrapper_json
-from esc_agents.driving.episodes import Summary, as_rows, evaluate, model_policy, seeds, table
+from esc_agents.driving.episodes import (
+    Episode,
+    Summary,
+    as_rows,
+    evaluate,
+    model_policy,
+    seeds,
+    table,
+)
 from esc_agents.driving.policies import save_policy
+from esc_agents.driving.rule_driver import RULE
 from esc_agents.driving.vectorised import closing, vectorise
-from esc_agents.errors import UserError, say
+from esc_agents.errors import UserError, reason, say
 from esc_agents.reporting.tables import show, terminal
 from esc_agents.training import checkpoint, run_directory
 from esc_agents.training.callbacks import (
@@ -215,7 +224,7 @@ class Training:
         checkpoint.thin_out(folder)  # for a session that was killed before it had done so
 
     def _results(self, stop: StopOnSignal) -> dict[str, Summary]:
-        """The trained policy and the blind ones on the same episodes."""
+        """The trained policy, the blind ones and IDM/MOBIL on the same episodes."""
         config, judges = self.config, self.judges
         names = action_names(self.probe)
         space, seed = self.probe.action_space, config.evaluation.seed
@@ -223,11 +232,21 @@ class Training:
         policies = {config.repr: model_policy(self.model), **blind}
         results = {}
         if not stop.interrupted:
-            say(f"Evaluating {config.repr} beside {len(blind)} blind policies ...")
+            say(f"Evaluating {config.repr} beside {len(blind)} blind policies and {RULE} ...")
         for name, policy in policies.items():
             if stop.interrupted:
                 break
             episodes = evaluate(judges, policy, seeds(config), lambda: stop.interrupted)
             if episodes:
                 results[name] = Summary.of(episodes)
+        if not stop.interrupted and (rule := self._rule_driver(stop)):
+            results[RULE] = Summary.of(rule)
         return results
+
+    def _rule_driver(self, stop: StopOnSignal) -> list[Episode]:
+        """Episodes of IDM/MOBIL; none, and a line that says why, where it cannot drive."""
+        try:
+            return rule_driver(self.config, seeds(self.config), lambda: stop.interrupted)
+        except Exception as error:  # nothing that it meets may cost the run its results
+            say(f"{RULE} is missing: {reason(error)}")
+            return []

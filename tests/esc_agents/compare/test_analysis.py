@@ -1,5 +1,6 @@
 """Numbers of a comparison, derived again by hand from results made by hand."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,9 @@ def test_verdicts(ours, theirs, verdict):
 def test_normal_scores_run_from_the_best_blind_policy_to_the_rule_driver():
     assert task(blind=2.0, rule=6.0).normal("esc") == [0.5, 1.0, 1.5]
     assert task(blind=6.0, rule=2.0).normal("esc") is None
+    alone = replace(task(), baselines=replace(baselines(), rule=None))
+    assert alone.normal("esc") is None
+    assert list(analysis.drivers(alone)) == ["always IDLE", "random"]
 
 
 def test_overall_takes_only_what_ran_everywhere():

@@ -1,5 +1,6 @@
 """The whole of a small comparison, begun, broken, gone on with."""
 
+import csv
 import os
 import shutil
 import signal
@@ -158,6 +159,21 @@ def test_slots_are_declared():
     )
     assert plan(small()).slots == {ENV: n}
     assert plan(small(slots=99)).slots == {ENV: n}
+
+
+@pytest.mark.parametrize(("env", "env_config"), [("two-way", {}), ("parking", {"duration": 1})])
+def test_scenarios_with_a_rule_driver_and_without(env, env_config, tmp_path, capsys):
+    """two-way reads the ego's meta-actions; in parking there are no lanes."""
+    train = {**small().train, "env_config": env_config}
+    one = {"repr": ("esc",), "seeds": 1, "episodes": 1, "tuning": {"scales": (1.0,)}}
+    compare(small(env=(env,), transfer={}, train=train, **one), tmp_path, HereEngine())
+    rows = csv.DictReader((tmp_path / "summary.csv").read_text().splitlines())
+    drivers = [row["driver"] for row in rows]
+    assert "random" in drivers
+    assert ("IDM/MOBIL" in drivers) == (env == "two-way")
+    why = "IDM/MOBIL is missing: the driver follows lanes, and none leads to a parking spot."
+    for said in (capsys.readouterr().out, (tmp_path / "report.md").read_text()):
+        assert said.count(why) == (env == "parking")
 
 
 SCRIPT = """

@@ -6,8 +6,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from highway_env.envs.highway_env import HighwayEnv
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from esc_agents.compare import measure
 from esc_agents.compare.measure import (
     OrderProbe,
     SlotChurn,
@@ -20,6 +22,7 @@ from esc_agents.compare.measure import (
 from esc_agents.driving.environments import make_env
 from esc_agents.driving.episodes import Summary, evaluate
 from esc_agents.driving.policies import load_policy
+from esc_agents.errors import UserError
 from esc_agents.training.train import train
 from esc_gym.encoders import FPEncoder
 from tests.esc_agents.tiny import ROAD, SAC_RUN, tiny
@@ -212,3 +215,39 @@ def test_baselines_are_the_floors_and_the_rule_driver():
     anything = evaluate(envs, lambda observations: np.array([0]), seeds)
     rewards = [episode.reward for episode in anything]
     assert found.rule.reward == pytest.approx(np.mean(rewards))
+    assert found.missing == {}
+
+
+def test_a_baseline_that_fails_loses_only_its_row(monkeypatch):
+    def reward(self, action):
+        if action == 4 and self.time > 1:  # a probe makes one step, with any action
+            raise ZeroDivisionError("slow")
+        return 1.0
+
+    monkeypatch.setattr(HighwayEnv, "_reward", reward)
+    found = baselines(tiny(), 0, 2)
+    others = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER")
+    assert {
+        f"always {action}" for action in others
+    } <= found.blind.keys()  # random draws it, or not
+    assert found.rule.reward == found.rule.length
+    assert "always SLOWER" not in found.blind
+    assert found.missing["always SLOWER"].endswith("step 2: ZeroDivisionError: slow")
+
+
+def test_a_rule_driver_that_fails_loses_only_its_row(monkeypatch):
+    def broken(*arguments):
+        raise AttributeError("'IDMVehicle' object has no attribute 'wings'")
+
+    monkeypatch.setattr(measure, "rule_driver", broken)
+    found = baselines(tiny(), 0, 1)
+    assert len(found.blind) == 6
+    assert found.rule is None
+    why = "AttributeError: 'IDMVehicle' object has no attribute 'wings'"
+    assert found.missing == {"IDM/MOBIL": why}
+
+
+def test_without_any_floor_the_reason_is_an_error(monkeypatch):
+    monkeypatch.setattr(measure, "blind_drives", lambda *arguments: {"random": lambda: 1 / 0})
+    with pytest.raises(UserError, match="no blind policy could drive: ZeroDivisionError: division"):
+        baselines(tiny(), 0, 1)

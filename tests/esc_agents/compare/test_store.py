@@ -1,5 +1,5 @@
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from math import inf
 
 import pytest
@@ -7,7 +7,9 @@ import pytest
 from esc_agents.compare import store
 from esc_agents.compare.grid import Candidate, Cell
 from esc_agents.compare.store import Tuned
+from esc_agents.driving.episodes import as_rows
 from esc_agents.errors import UserError
+from esc_agents.reporting import records
 from tests.esc_agents.compare.small import ENV, MORE, baselines, episode, result, small
 
 
@@ -34,6 +36,16 @@ def test_baselines_come_back(tmp_path):
     assert store.baselines(tmp_path) is None
     store.write_baselines(tmp_path, baselines())
     assert store.baselines(tmp_path) == baselines()
+    without = replace(baselines(), rule=None, missing={"IDM/MOBIL": "no lanes"})
+    store.write_baselines(tmp_path, without)
+    assert store.baselines(tmp_path) == without
+
+
+def test_baselines_of_before_always_had_a_rule_driver(tmp_path):
+    found = baselines()
+    old = {"blind": as_rows(found.blind), "rule": asdict(found.rule), "made_with": found.made_with}
+    records.write(tmp_path / "baselines.json", 1, old)
+    assert store.baselines(tmp_path) == found
 
 
 @pytest.mark.parametrize("damage", ["cut", "changed", "empty", "other", "schema", "fields"])
@@ -46,8 +58,6 @@ def test_damaged_results_are_named(tmp_path, damage):
         store.write(tmp_path, result("esc", 1, [1.0]))
         store.path_of(tmp_path, replace(run.cell, seed=1)).rename(path)
     elif damage == "fields":
-        from esc_agents.reporting import records
-
         records.write(path, store.SCHEMA, {"cell": {}})
     else:
         changed = {

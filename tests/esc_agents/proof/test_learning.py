@@ -25,7 +25,7 @@ def summary(mean, ttc=1.0):
 
 @pytest.fixture
 def make_run(tmp_path):
-    def make(seed, mean=5.0, blind=2.0, **changes):
+    def make(seed, mean=5.0, blind=2.0, rule=None, **changes):
         path = tmp_path / f"seed-{seed}"
         path.mkdir()
         values = {
@@ -41,6 +41,7 @@ def make_run(tmp_path):
             "esc": summary(mean),
             "always IDLE": summary(blind),
             "always SLOWER": summary(0.0, ttc=float("inf")),
+            **({"IDM/MOBIL": summary(rule)} if rule is not None else {}),
         }
         rows = as_rows(results)
         for row in rows:
@@ -92,6 +93,13 @@ def test_overlap_is_said_with_its_numbers(make_run, tmp_path):
     text = write(tmp_path, make_run(0), make_run(1, mean=3.0)).read_text()
     assert "Not above every blind baseline" in text
     assert "in 1 of 2 runs (seed 1: 3.00 [2.25, 3.75] beside 2.00 [1.25, 2.75] of always" in text
+
+
+def test_the_rule_driver_is_no_blind_policy(make_run, tmp_path):
+    """Nor has a run of before it."""
+    text = write(tmp_path, make_run(0), make_run(1, rule=9.0)).read_text()
+    assert "Above every blind baseline: in all 2 runs" in text
+    assert "| IDM/MOBIL | 9.00 [" in text
 
 
 def test_an_unknown_scenario_is_called_by_its_id():

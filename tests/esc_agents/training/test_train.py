@@ -16,6 +16,7 @@ import esc_gym  # noqa: F401  (registers the ids)
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import make_env
 from esc_agents.driving.policies import load_policy
+from esc_agents.driving.rule_driver import RuleDriver
 from esc_agents.driving.vectorised import vectorise
 from esc_agents.errors import UserError
 from esc_agents.training import callbacks, run_directory
@@ -128,8 +129,35 @@ def test_results_compare_with_the_blind_policies(ppo_run, sac_run):
         return [row["policy"] for row in json.loads((path / "results.json").read_text())]
 
     meta = ["LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER"]
-    assert names(ppo_run) == ["esc", *(f"always {action}" for action in meta), "random"]
-    assert names(sac_run) == ["esc", "always neutral", "random"]
+    blind = [f"always {action}" for action in meta]
+    assert names(ppo_run) == ["esc", *blind, "random", "IDM/MOBIL"]
+    assert names(sac_run) == ["esc", "always neutral", "random", "IDM/MOBIL"]
+
+
+def test_the_rule_driver_drives_the_same_episodes(ppo_run):
+    """Against one episode that is driven here."""
+    env = make_env(tiny(), rule_driver=True)
+    env.reset(seed=tiny().evaluation.seed)
+    rewards, ended = [], False
+    while not ended:
+        _, reward, terminated, truncated, _ = env.step(0)
+        rewards.append(reward)
+        ended = terminated or truncated
+    rows = {row["policy"]: row for row in json.loads((ppo_run / "results.json").read_text())}
+    assert rows["IDM/MOBIL"]["reward"] == pytest.approx(sum(rewards))
+    assert rows["IDM/MOBIL"]["length"] == len(rewards)
+
+
+def test_a_rule_driver_that_cannot_drive_costs_its_row_only(tmp_path, monkeypatch, capsys):
+    def broken(self, **options):
+        raise KeyError("lane")
+
+    monkeypatch.setattr(RuleDriver, "reset", broken)
+    assert train(tiny(run_dir=tmp_path / "run"))
+    why = "IDM/MOBIL is missing: evaluation, environment 0, episode 0, step 0: KeyError: 'lane'"
+    assert why in capsys.readouterr().out.splitlines()
+    rows = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert [row["policy"] for row in rows][-1] == "random"
 
 
 def test_training_learns_something_and_repeats_itself(ppo_run, tmp_path):
