@@ -1,7 +1,7 @@
 # The commands of this project; each sets up .venv by itself, from constraints.txt.
 PYTHON ?= python3
 BIN := .venv/bin
-TRAIN ?= --env highway-v0 --repr esc --steps 50000
+TRAIN ?= --env highway-v0 --repr esc
 BENCH ?= --end-to-end --out docs/speed.md --readme README.md
 WORKERS ?= 2
 

@@ -327,7 +327,7 @@ def representation(name: str) -> type[SetEncoder]:
         raise ValueError(f"unknown representation {name!r}: {known}{hint}")
     try:
         encoder = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise ValueError(f"representation {name!r}: {error}; {known}") from error
     if not (isinstance(encoder, type) and issubclass(encoder, SetEncoder)):
         raise ValueError(f"representation {name!r}: expected a subclass of SetEncoder")

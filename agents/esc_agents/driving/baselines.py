@@ -14,7 +14,7 @@ from esc_agents import files
 from esc_agents.config import TrainConfig
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import make_env
-from esc_agents.driving.episodes import Episode, Policy, Summary, evaluate, table
+from esc_agents.driving.episodes import Episode, Policy, Summary, evaluate, return_of, table
 from esc_agents.driving.vectorised import closing, vectorise
 from esc_agents.errors import say
 from esc_agents.reporting.tables import markdown
@@ -57,6 +57,26 @@ def _random(space: gym.Space, count: int, seed: int) -> Policy:
 def action_names(env: Any) -> dict[int, str]:
     """highway-env's names of the discrete actions."""
     return getattr(env.unwrapped.action_type, "actions", {})
+
+
+def best_blind(blind: Mapping[str, Summary]) -> str:
+    """The policy whose interval of the return reaches highest."""
+    return max(blind, key=lambda name: blind[name].reward_high)
+
+
+def is_above(ours: Summary, blind: Mapping[str, Summary]) -> bool:
+    """Whether the interval of our return lies above those of all policies that never look."""
+    return ours.reward_low > blind[best_blind(blind)].reward_high
+
+
+def verdict(name: str, ours: Summary, blind: Mapping[str, Summary]) -> str:
+    """One sentence: is a policy above all those that never look?"""
+    best = best_blind(blind)
+    judged = "above" if is_above(ours, blind) else "not clearly above"
+    return (
+        f"{name} is {judged} every policy that never looks: {return_of(ours)} beside "
+        f"{return_of(blind[best])} of {best}."
+    )
 
 
 def floors(config: TrainConfig, episodes: int) -> dict[str, Summary]:

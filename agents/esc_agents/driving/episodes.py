@@ -145,10 +145,15 @@ def table(results: dict[str, Summary]) -> list[Sequence[str]]:
     return [COLUMNS, *(_cells(name, summary) for name, summary in results.items())]
 
 
+def return_of(summary: Summary) -> str:
+    """The mean return and its interval."""
+    return f"{summary.reward:.2f} [{summary.reward_low:.2f}, {summary.reward_high:.2f}]"
+
+
 def _cells(name: str, s: Summary) -> list[str]:
     return [
         name,
-        f"{s.reward:.2f} [{s.reward_low:.2f}, {s.reward_high:.2f}]",
+        return_of(s),
         f"{s.collision_rate:.0%} [{s.collision_low:.0%}, {s.collision_high:.0%}]",
         f"{s.speed:.1f}",
         f"{s.length:.1f}",

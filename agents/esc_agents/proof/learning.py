@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from esc_agents import files
 from esc_agents.config import TrainConfig, load_config, scenarios
-from esc_agents.driving.episodes import Summary, summaries, table
+from esc_agents.driving.baselines import best_blind, is_above
+from esc_agents.driving.episodes import Summary, return_of, summaries, table
 from esc_agents.driving.rule_driver import RULE
 from esc_agents.errors import UserError, say
 from esc_agents.reporting.statistics import mean_interval
@@ -77,12 +78,12 @@ class Run:
     @property
     def best_blind(self) -> str:
         """The blind policy whose interval reaches highest."""
-        return max(self.blind, key=lambda name: self.blind[name].reward_high)
+        return best_blind(self.blind)
 
     @property
     def above(self) -> bool:
         """Whether the trained interval lies above that of every blind policy."""
-        return self.trained.reward_low > self.blind[self.best_blind].reward_high
+        return is_above(self.trained, self.blind)
 
 
 def write_report(paths: Sequence[Path], out: Path, trust: bool = False) -> None:
@@ -140,7 +141,7 @@ def verdict(runs: Sequence[Run]) -> str:
         )
     rest = [r for r in runs if not r.above]
     cases = "; ".join(
-        f"seed {r.config.seed}: {_interval(r.trained)} beside {_interval(r.blind[r.best_blind])} "
+        f"seed {r.config.seed}: {return_of(r.trained)} beside {return_of(r.blind[r.best_blind])} "
         f"of {r.best_blind}"
         for r in rest
     )
@@ -158,10 +159,6 @@ def collisions(runs: Sequence[Run]) -> str:
         f"Episodes that end in a collision: {', '.join(rates)}; fewest among the blind policies: "
         f"{safest.collision_rate:.0%} ({name})."
     )
-
-
-def _interval(summary: Summary) -> str:
-    return f"{summary.reward:.2f} [{summary.reward_low:.2f}, {summary.reward_high:.2f}]"
 
 
 def text(runs: Sequence[Run], paths: Sequence[Path], out: Path) -> str:

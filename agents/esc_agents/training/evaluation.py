@@ -46,6 +46,8 @@ def evaluate_run(
     if env or env_config:
         title += f"driving in {driven}; "
         config = _elsewhere(config, env, env_config, model, run_dir)
+    else:
+        check_env(config)
     envs = vectorise(config, min(config.n_envs, episodes), evaluation=True, shuffle=shuffle)
     try:
         with StopOnSignal() as stop:

@@ -19,7 +19,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from esc_agents import files
 from esc_agents.config import TrainConfig
-from esc_agents.driving.baselines import action_names, blind_policies, rule_driver
+from esc_agents.driving.baselines import action_names, blind_policies, rule_driver, verdict
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import wrapper_json
 from esc_agents.driving.episodes import (
@@ -183,6 +183,8 @@ class Training:
         run_directory.finish(directory, as_rows(results))
         title = f"{config.env}, {config.repr}, {config.algo}, {model.num_timesteps:,} steps"
         show(terminal(table(results), f"{title}; episodes: {config.evaluation.episodes}"))
+        blind = {name: s for name, s in results.items() if name not in (config.repr, RULE)}
+        say(verdict(config.repr, results[config.repr], blind))
         say(f"Run directory: {directory}")
         return True
 

@@ -21,6 +21,7 @@ def test_train_from_start_to_end(call, tmp_path):
     code, out, err = call(train_cli, *FAST, "--run-dir", "run")
     assert (code, err) == (0, "")
     assert "always neutral" in out
+    assert "every policy that never looks" in out
     assert out.endswith("Run directory: run\n")
     assert open_run(tmp_path / "run").env == "lane-keeping-v0"
     command = (tmp_path / "run" / "command.txt").read_text()
