@@ -280,7 +280,9 @@ def drivers(task: Task) -> dict[str, Summary]:
 
 def missing(task: Task) -> list[str]:
     """A sentence for each driver that is not there."""
-    return [f"{name} is missing: {why}." for name, why in task.baselines.missing.items()]
+    return [
+        f"{name} is missing: {why.rstrip('.')}." for name, why in task.baselines.missing.items()
+    ]
 
 
 def _columns(name: str, estimate: Estimate) -> dict[str, float]:

@@ -65,7 +65,7 @@ class RuleDriver(gym.Wrapper):
         space: Any = self.action_space
         base: Any = self.unwrapped
         if isinstance(space, gym.spaces.Discrete):
-            # Without names, throttle and steering in steps: neither is in the middle.
+            # Actions without names are a grid of throttles and steerings, neutral in its middle.
             names = getattr(base.action_type, "actions_indexes", {})
             neutral: Any = names.get("IDLE", int(space.n) // 2)
         else:

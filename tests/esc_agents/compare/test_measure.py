@@ -227,9 +227,7 @@ def test_a_baseline_that_fails_loses_only_its_row(monkeypatch):
     monkeypatch.setattr(HighwayEnv, "_reward", reward)
     found = baselines(tiny(), 0, 2)
     others = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER")
-    assert {
-        f"always {action}" for action in others
-    } <= found.blind.keys()  # random draws it, or not
+    assert {f"always {action}" for action in others} <= found.blind.keys()
     assert found.rule.reward == found.rule.length
     assert "always SLOWER" not in found.blind
     assert found.missing["always SLOWER"].endswith("step 2: ZeroDivisionError: slow")
