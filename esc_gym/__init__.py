@@ -12,6 +12,7 @@ from esc_gym.observation import SetObservation
 from esc_gym.registration import ENV_IDS, register_envs
 
 if TYPE_CHECKING:
+    from esc_gym.adaptation import adapt as adapt
     from esc_gym.encoders import REPRESENTATIONS as REPRESENTATIONS
     from esc_gym.extractors import (
         APExtractor as APExtractor,
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _LAZY = {
+    "adapt": "esc_gym.adaptation",
     "REPRESENTATIONS": "esc_gym.encoders",
     "SetExtractor": "esc_gym.extractors",
     "ESCExtractor": "esc_gym.extractors",

@@ -43,7 +43,7 @@ class SetExtractor(BaseFeaturesExtractor):
         **encoder_kwargs: Any,
     ) -> None:
         cls = encoder_class(representation or self.representation)
-        vehicles, ego_dim = _check_space(observation_space)
+        vehicles, ego_dim = check_space(observation_space)
         n, d1 = vehicles.shape
         settings = {"vehicle_dim": d1, "ego_dim": ego_dim, "max_vehicles": n, **encoder_kwargs}
         if issubclass(cls, APEncoder):
@@ -85,7 +85,7 @@ class AttentionExtractor(SetExtractor):
     representation = "attention"
 
 
-def _check_space(space: spaces.Space) -> tuple[spaces.Box, int]:
+def check_space(space: spaces.Space) -> tuple[spaces.Box, int]:
     """The Box of the vehicles, and d2; a ValueError where ``space`` is no set observation's."""
     parts = space.spaces if isinstance(space, spaces.Dict) else {}
     ego, vehicles, mask = (parts.get(name) for name in ("ego", "vehicles", "mask"))

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -16,51 +15,13 @@ from esc_gym import extractors
 from esc_gym.encoders import APEncoder, ESCEncoder
 from esc_gym.extractors import REPRESENTATIONS, ESCExtractor, FPExtractor, SetExtractor
 from esc_gym.matching import parameter_count
+from tests.esc_gym.traffic import D1, D2, HIGH, N, Traffic, space
 
-N, D1, D2 = 4, 3, 2
-HIGH = np.array([1.0, 5.0, 1.0], np.float32)
 NAMED = {
     cls.representation: cls
     for cls in vars(extractors).values()
     if isinstance(cls, type) and issubclass(cls, SetExtractor) and cls is not SetExtractor
 }
-
-
-def space(n: int = N, **parts: spaces.Space) -> spaces.Dict:
-    high = np.tile(HIGH, (n, 1))
-    return spaces.Dict({
-        "ego": spaces.Box(-1, 1, (D2,), np.float32),
-        "vehicles": spaces.Box(-high, high, (n, D1), np.float32),
-        "mask": spaces.MultiBinary(n),
-        **parts,
-    })  # fmt: skip
-
-
-class Traffic(gym.Env):
-    """0 to N random vehicles, five steps long; actions do nothing."""
-
-    observation_space: Any
-
-    def __init__(self, continuous: bool = False) -> None:
-        self.observation_space = space()
-        box = spaces.Box(-1, 1, (1,), np.float32)
-        self.action_space = box if continuous else spaces.Discrete(2)
-
-    def _observe(self) -> dict:
-        mask = (np.arange(N) < self.np_random.integers(N + 1)).astype(np.int8)
-        vehicles = self.observation_space["vehicles"].sample() * mask[:, None]
-        return {"ego": self.observation_space["ego"].sample(), "vehicles": vehicles, "mask": mask}
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.steps = 0
-        return self._observe(), {}
-
-    def step(self, action):
-        self.steps += 1
-        return self._observe(), float(self.np_random.random()), False, self.steps >= 5, {}
-
-
 ALGORITHMS: dict[str, Any] = {
     "ppo": (PPO, False, {"n_steps": 8, "batch_size": 4, "n_epochs": 1}),
     "a2c": (A2C, False, {"n_steps": 4}),
