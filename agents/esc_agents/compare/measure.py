@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from esc_agents.config import TrainConfig
 from esc_agents.driving.baselines import floors, rule_driver
 from esc_agents.driving.episodes import Episode, evaluate, model_policy
 from esc_agents.driving.vectorised import closing, vectorise
+from esc_gym.adaptation import adapt
 from esc_gym.encoders import APEncoder, SetEncoder
 
 
@@ -46,7 +46,7 @@ def examine(
 def _envs(config: TrainConfig, policy: Any, episodes: int, **options: Any) -> Iterator[VecEnv]:
     made = vectorise(config, min(config.n_envs, episodes), evaluation=True, **options)
     with closing(made) as envs:
-        take_any_size(policy, envs.observation_space)
+        adapt(policy, envs)
         yield envs
 
 
@@ -66,13 +66,6 @@ def encoder_of(policy: Any) -> SetEncoder:
     """The set encoder in a policy."""
     network: Any = network_of(policy)
     return network.features_extractor.encoder
-
-
-def take_any_size(policy: Any, space: gym.spaces.Space) -> None:
-    """Let an SB3 policy take observations of ``space``, whose N may be another than in training."""
-    for module in policy.modules():
-        if hasattr(module, "observation_space"):
-            module.observation_space = space
 
 
 class OrderProbe:

@@ -25,6 +25,7 @@ from torch import Tensor
 from esc_agents import files
 from esc_agents.config import TrainConfig
 from esc_agents.errors import UserError
+from esc_gym.adaptation import pinned_arguments
 from esc_gym.extractors import SetExtractor
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
@@ -66,7 +67,8 @@ class PolicyDescription(_Described):
     """Everything of a policy but its weights.
 
     sha256: of the file of weights. steps: of training. encoder: arguments of esc_gym's
-    SetExtractor. observation: what wrapper.json of the run says, the meaning of the inputs.
+    SetExtractor, none of which follows from N. observation: what wrapper.json of the run says, the
+    meaning of the inputs.
     """
 
     schema_version: Literal[1] = 1
@@ -95,8 +97,8 @@ class PolicyDescription(_Described):
 
 
 def save_policy(
-    folder: Path, model: BaseAlgorithm, config: TrainConfig, encoder: dict[str, Any],
-    observation: dict[str, Any], name: str = "policy",
+    folder: Path, model: BaseAlgorithm, config: TrainConfig, observation: dict[str, Any],
+    name: str = "policy",
 ) -> None:  # fmt: skip
     """Write the policy of ``model`` as ``name``.safetensors and ``name``.json into ``folder``."""
     weights = save(_weights(model.policy))
@@ -111,7 +113,7 @@ def save_policy(
         action=DiscreteSpace(n=int(action.n))
         if isinstance(action, spaces.Discrete)
         else BoxSpace.of(action),
-        encoder=encoder,
+        encoder=pinned_arguments(model.policy),
         net_arch=config.hyperparameters.net_arch,
         observation=observation,
         versions=files.versions(),

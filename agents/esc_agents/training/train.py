@@ -20,7 +20,7 @@ from torch.utils.tensorboard import SummaryWriter
 from esc_agents import files
 from esc_agents.config import TrainConfig
 from esc_agents.driving.baselines import action_names, blind_policies
-from esc_agents.driving.checks import check, extractor_arguments
+from esc_agents.driving.checks import check
 from esc_agents.driving.environments import wrapper_json
 from esc_agents.driving.episodes import Summary, as_rows, evaluate, model_policy, seeds, table
 from esc_agents.driving.policies import save_policy
@@ -150,9 +150,7 @@ class Training:
         self.listeners = listeners
         self.config, self.directory, self.model = config, directory, model
         self.probe, self.judges = probe, judges
-        self.save_policy = partial(
-            save_policy, directory, model, config, extractor_arguments(config), wrapper_json(probe)
-        )
+        self.save_policy = partial(save_policy, directory, model, config, wrapper_json(probe))
 
     def run(self, found: dict[str, Any] | None) -> bool:
         """Train, evaluate, write and print. found: of ``checkpoint.restore``, None at the start."""

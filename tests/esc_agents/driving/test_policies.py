@@ -16,6 +16,8 @@ from esc_agents.driving.environments import make_env
 from esc_agents.driving.policies import BoxSpace, load_policy
 from esc_agents.errors import UserError
 from esc_agents.training.run_directory import open_run
+from esc_agents.training.train import train
+from tests.esc_agents.tiny import tiny
 
 
 @pytest.mark.parametrize(("fixture", "algorithm"), [("ppo_run", PPO), ("sac_run", SAC)])
@@ -59,6 +61,35 @@ def test_the_description_is_for_people_too(ppo_run):
     assert described["versions"]["torch"] == torch.__version__
 
 
+def rewrite(path, change):
+    values = json.loads((path / "policy.json").read_text())
+    change(values)
+    (path / "policy.json").write_text(json.dumps(values))
+
+
+def test_sizes_do_not_follow_from_n(tmp_path):
+    """Widths matched to ESC's, and d3 = N*d1 + 1: of the N in training, whatever is read later."""
+    encoder = {"hidden": (32, 32)}
+    assert train(tiny(repr="attention", run_dir=tmp_path / "run", encoder=encoder))
+    weights = load_policy(tmp_path / "run")[0].state_dict()
+
+    def more(values):
+        values["vehicles"]["shape"][0] = 50
+
+    def unresolved(values):  # as it was written once
+        values["encoder"] = {"representation": "attention", "hidden": [32, 32], "code_dim": None}
+
+    rewrite(tmp_path / "run", more)
+    larger = load_policy(tmp_path / "run")[0]
+    assert larger.observation_space["vehicles"].shape == (50, 7)
+    rewrite(tmp_path / "run", unresolved)
+    with pytest.raises(UserError, match="does not describe the weights"):
+        load_policy(tmp_path / "run")
+    rewrite(tmp_path / "run", lambda values: values["vehicles"]["shape"].__setitem__(0, 6))
+    for policy in (larger, load_policy(tmp_path / "run")[0]):
+        assert all(torch.equal(value, weights[k]) for k, value in policy.state_dict().items())
+
+
 @pytest.mark.parametrize(
     "space",
     [
@@ -74,9 +105,6 @@ def test_boxes_come_back(space):
 
 def test_a_class_that_the_reader_does_not_have(own_run):
     """A description can name a class of the reader's own; it cannot bring one."""
-    path = own_run / "policy.json"
-    values = json.loads(path.read_text())
-    values["encoder"]["representation"] = "no_such_module:Class"
-    path.write_text(json.dumps(values))
+    rewrite(own_run, lambda values: values["encoder"].update(representation="no_such_module:Class"))
     with pytest.raises(UserError, match="no_such_module"):
         load_policy(own_run)
