@@ -10,7 +10,7 @@ import tyro
 from pydantic import BaseModel, ConfigDict, PositiveInt
 
 from esc_agents.cli import guarded, parse
-from esc_agents.config import Seed
+from esc_agents.config import Mapping, Seed
 
 PROGRAM = "esc-eval"
 
@@ -25,6 +25,12 @@ class EvaluateArguments(BaseModel):
     episodes: PositiveInt = 20
     seed: Seed = 2_000_000
     """Seed of the first episode; the others follow."""
+    env: str | None = None
+    """Drive in this scenario or id instead of the run's; it has to have the same observation but
+    for N, and the same actions."""
+    env_config: Mapping = {}
+    """Drive in other traffic, e.g. {vehicles_count: 80}: merged into the env_config of the run, or
+    of --env."""
     shuffle: bool = False
     """Permute the vehicles of every observation."""
     video: Path | None = None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import gymnasium as gym
@@ -20,20 +22,10 @@ def check(config: TrainConfig) -> gym.Env:
         representation(config.repr)
     except ValueError as error:
         raise UserError(f"repr: {error}") from error
-    check_env_id(config.env)
     check_device(config.device)
-    try:
-        check_actions(config)
-        env = make_env(config)
-        env.reset(seed=config.seed)
-        env.step(env.action_space.sample())  # reward terms are read here for the first time
+    env = check_env(config)
+    with _explained(config):
         _try_encoder(config, env)
-    except UserError:
-        raise
-    except Exception as error:  # a wrong value in env_config can make highway-env raise anything
-        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
-        reason = str(error).partition(" was raised from the environment creator")[0]
-        raise UserError(f"{config.env}: {kind}{reason}") from error
     rollout = config.ppo.n_steps * config.n_envs
     if config.algo == "ppo" and config.ppo.batch_size > rollout:
         raise UserError(
@@ -41,6 +33,30 @@ def check(config: TrainConfig) -> gym.Env:
             f"{config.ppo.batch_size}; raise --ppo.n-steps or lower --ppo.batch-size"
         )
     return env
+
+
+def check_env(config: TrainConfig) -> gym.Env:
+    """One environment of the run, which was made and made a step."""
+    check_env_id(config.env)
+    with _explained(config):
+        check_actions(config)
+        env = make_env(config)
+        env.reset(seed=config.seed)
+        env.step(env.action_space.sample())  # reward terms are read here for the first time
+        return env
+
+
+@contextmanager
+def _explained(config: TrainConfig) -> Iterator[None]:
+    """A wrong value in env_config can make highway-env raise anything: a UserError of it."""
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        reason = str(error).partition(" was raised from the environment creator")[0]
+        raise UserError(f"{config.env}: {kind}{reason}") from error
 
 
 def check_device(name: str) -> None:

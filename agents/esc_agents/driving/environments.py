@@ -29,11 +29,19 @@ def env_config(config: TrainConfig) -> dict[str, Any]:
     return merge(config.env_config, preset)
 
 
+def actions(config: TrainConfig) -> dict[str, Any]:
+    """The ``action`` section of a run's whole highway-env configuration."""
+    return merge_config(_env_class(config).default_config(), env_config(config))["action"]
+
+
+def _env_class(config: TrainConfig) -> Any:
+    return load_env_creator(str(gym.registry[config.env].entry_point))
+
+
 def check_actions(config: TrainConfig) -> None:
     """Raises UserError where algorithm and action space cannot meet, with the reason."""
-    env_class: Any = load_env_creator(str(gym.registry[config.env].entry_point))
-    action = merge_config(env_class.default_config(), env_config(config))["action"]["type"]
-    scenario = scenario_of_class(env_class)
+    action = actions(config)["type"]
+    scenario = scenario_of_class(_env_class(config))
     reason = scenario.discrete_only if scenario else None
     wanted = "continuous actions" if config.algo == "ppo" else "--algo sac"
     if reason and (action == "ContinuousAction" or config.algo == "sac"):

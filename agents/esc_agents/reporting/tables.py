@@ -14,7 +14,9 @@ _BOLD = re.compile(r"\*\*(.*)\*\*")
 
 def terminal(rows: Sequence[Sequence[str]], title: str = "") -> Table:
     """The header, then the rows, for the terminal; **bold** as in Markdown."""
-    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold")
+    table = Table(
+        title=escape(title), title_justify="left", title_style="bold", header_style="bold"
+    )
     header, *body = rows
     for index, column in enumerate(header):
         table.add_column(column, justify="right" if index else "left")

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from esc_agents import files
+from esc_agents.config import TrainConfig, config_for_env, flow
+from esc_agents.driving.checks import check_env
+from esc_agents.driving.environments import actions, env_config, wrapper_json
 from esc_agents.driving.episodes import Summary, as_rows, evaluate, model_policy, table
 from esc_agents.driving.films import film
 from esc_agents.driving.vectorised import vectorise
@@ -15,20 +20,32 @@ from esc_agents.reporting.tables import show, terminal
 from esc_agents.training import run_directory
 from esc_agents.training.callbacks import StopOnSignal
 from esc_agents.training.models import load_model
+from esc_gym.adaptation import adapt
+from esc_gym.registration import merge
+
+MEANING = ("features", "ego_features", "frame", "perception_distance", "ranges", "limits")
+"""What of wrapper.json the weights depend on."""
 
 
 def evaluate_run(
-    run_dir: Path, episodes: int, seed: int, shuffle: bool, video: Path | None, videos: int,
-    json_file: Path | None, device: str, trust: bool,
+    run_dir: Path, episodes: int, seed: int, env: str | None, env_config: dict[str, Any],
+    shuffle: bool, video: Path | None, videos: int, json_file: Path | None, device: str,
+    trust: bool,
 ) -> Summary:  # fmt: skip
     """Evaluate the model of ``run_dir`` on ``episodes`` seeds from ``seed`` on; print the table.
 
-    shuffle: permute the vehicles of every observation. video: folder for GIFs of the first
-    ``videos`` episodes. json_file: for summary and episodes. trust: load a pickle if need be.
+    env, env_config: another scenario and changes of its traffic, or of the run's. shuffle: permute
+    the vehicles of every observation. video: folder for GIFs of the first ``videos`` episodes.
+    json_file: for summary and episodes. trust: load a pickle if need be.
     """
     config = run_directory.open_run(run_dir).model_copy(update={"device": device})
     model, steps = load_model(config, run_dir, trust)
     _check_outputs(video, json_file)
+    title = f"{config.env}, {config.algo}, {steps:,} steps; "
+    driven = f"{env or config.env} {flow(env_config) if env_config else ''}".strip()
+    if env or env_config:
+        title += f"driving in {driven}; "
+        config = _elsewhere(config, env, env_config, model, run_dir)
     envs = vectorise(config, min(config.n_envs, episodes), evaluation=True, shuffle=shuffle)
     try:
         with StopOnSignal() as stop:
@@ -40,17 +57,68 @@ def evaluate_run(
         raise KeyboardInterrupt
     summary = Summary.of(drives)
     name = f"{config.repr}, shuffled" if shuffle else config.repr
-    title = f"{config.env}, {config.algo}, {steps:,} steps; "
     title += f"episodes: {episodes} from seed {seed}"
     show(terminal(table({name: summary}), title))
     if json_file:
-        report = {**as_rows({name: summary})[0], "drives": [asdict(drive) for drive in drives]}
+        report = {**as_rows({name: summary})[0], "driven": driven}
+        report["drives"] = [asdict(drive) for drive in drives]
         files.write_json(json_file, report)
         say(f"Results: {json_file}")
     if video:
         for drive in drives[:videos]:
             say(f"Video: {film(config, model_policy(model), drive.seed, video, shuffle)}")
     return summary
+
+
+def _elsewhere(
+    config: TrainConfig, env: str | None, changes: dict[str, Any], model: Any, run_dir: Path
+) -> TrainConfig:
+    """A run in other traffic, for which ``model`` is made ready: N follows the traffic.
+
+    Raises UserError where the model would not know what it sees there, or what it does.
+    """
+    other = config_for_env(env).model_copy(update={"algo": config.algo}) if env else config
+    rows = {"max_vehicles": other.observation.max_vehicles}
+    there = config.model_copy(
+        update={
+            "env": other.env,
+            "env_config": merge(env_config(other), changes),
+            # Merged already, under the changes.
+            "continuous": other.continuous
+            and other.continuous.model_copy(update={"env_config": {}}),
+            "observation": config.observation.model_copy(update=rows),
+        }
+    )
+    probe = check_env(there)
+    found = {**wrapper_json(probe), "actions": _actions(there)}
+    for name, learned in {**_learned(run_dir), "actions": _actions(config)}.items():
+        if (here := json.loads(json.dumps(found[name]))) != learned:
+            raise UserError(
+                f"{env or config.env}: expected {flow({name: learned})}, as in training, got "
+                f"{flow({name: here})}; only a run of its own can learn that"
+            )
+    try:
+        adapt(getattr(model, "policy", model), probe)
+    except ValueError as error:
+        raise UserError(f"{env or config.env}: {error}") from error
+    return there
+
+
+def _actions(config: TrainConfig) -> dict[str, Any]:
+    """What the actions of a run move."""
+    section = actions(config)
+    return {name: section.get(name, True) for name in ("type", "longitudinal", "lateral")}
+
+
+def _learned(run_dir: Path) -> dict[str, Any]:
+    """What the numbers meant that a run's policy learned from."""
+    run_directory.verify(run_dir, "wrapper.json")
+    try:
+        wrapper = json.loads((run_dir / "wrapper.json").read_bytes())
+        return {name: wrapper[name] for name in MEANING}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise UserError(f"{run_dir / 'wrapper.json'} is damaged or missing: {reason}") from error
 
 
 def _check_outputs(video: Path | None, json_file: Path | None) -> None:

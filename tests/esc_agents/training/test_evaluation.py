@@ -1,14 +1,22 @@
 """esc-eval, through its command."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
+from esc_agents.cli import eval as eval_cli
 from esc_agents.cli.eval import command
+from esc_agents.driving.environments import make_env
+from esc_agents.driving.policies import load_policy
 from esc_agents.errors import UserError
 from esc_agents.reporting.statistics import wilson_interval
+from esc_agents.training.run_directory import open_run
+from esc_agents.training.train import train
+from tests.esc_agents.tiny import ROAD, tiny
 
 
 def report(path, *args):
@@ -48,6 +56,97 @@ def test_videos_of_the_first_episodes(ppo_run, tmp_path):
     assert [file.name for file in folder.iterdir()] == ["seed-9.gif"]
     with Image.open(folder / "seed-9.gif") as film:
         assert film.n_frames > 5
+
+
+def test_other_traffic(ppo_run, call):
+    """The drives of the network itself, which never counts its rows, among more vehicles."""
+    args = ["--episodes", 3, "--seed", 5, "--device", "cpu", "--json", "other.json"]
+    more = ["--env-config", "{vehicles_count: 9}", "--video", "films", "--videos", 1]
+    code, out, _ = call(eval_cli, ppo_run, *args, *more)
+    assert code == 0
+    words = "highway-fast-v0, ppo, 32 steps; driving in highway-fast-v0 {vehicles_count: 9};"
+    assert words in " ".join(out.split())
+    assert [path.name for path in Path("films").iterdir()] == ["seed-5.gif"]
+    found = json.loads(Path("other.json").read_text())
+    assert found["driven"] == "highway-fast-v0 {vehicles_count: 9}"
+
+    config = open_run(ppo_run)
+    policy = load_policy(ppo_run)[0]
+    env = make_env(config.model_copy(update={"env_config": {**ROAD, "vehicles_count": 9}}))
+    for drive in found["drives"]:
+        observation, _ = env.reset(seed=drive["seed"])
+        assert observation["mask"].shape == (9,)
+        ended, rewards = False, []
+        while not ended:
+            with torch.no_grad():
+                tensors = {k: torch.as_tensor(v)[None].float() for k, v in observation.items()}
+                action = policy._predict(tensors, deterministic=True).item()
+            observation, reward, terminated, truncated, _ = env.step(action)
+            rewards.append(reward)
+            ended = terminated or truncated
+        assert drive["reward"] == pytest.approx(sum(rewards))
+
+
+def test_another_scenario_is_as_it_is_shipped(ppo_run, call):
+    """Its traffic, with the observation of the run: not the narrow ranges of highway-dense."""
+    args = ["--episodes", 1, "--device", "cpu", "--json", "dense.json"]
+    short = ["--env-config", "{duration: 3}"]
+    code, out, _ = call(eval_cli, ppo_run, *args, "--env", "highway-dense", *short)
+    assert code == 0
+    assert "driving in highway-dense {duration: 3};" in " ".join(out.split())
+    drive = json.loads(Path("dense.json").read_text())["drives"][0]
+    assert drive["length"] <= 3
+    assert drive["vehicles"] > 9  # the run's own road has 6
+
+
+def test_sac_in_other_traffic_wins_over_its_own_preset(sac_run, call):
+    args = ["--episodes", 1, "--device", "cpu", "--json", "other.json"]
+    changes = ["--env-config", "{policy_frequency: 1, simulation_frequency: 5}"]
+    lengths = {}
+    for more in ([], changes):
+        assert call(eval_cli, sac_run, *args, *more)[0] == 0
+        lengths[len(more)] = json.loads(Path("other.json").read_text())["drives"][0]["length"]
+    assert lengths[2] < lengths[0]
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["--env", "roundabout"], "roundabout: expected {ego_features: ["),
+        (["--env", "nowhere"], "env: unknown environment or scenario 'nowhere'"),
+        (["--env-config", "{vehicle_count: 3}"], "unknown key 'vehicle_count'; did you mean"),
+        (["--env-config", "3"], "env_config Input should be a valid dictionary (got 3)"),
+        (["--env-config", "{action: {type: ContinuousAction}}"],
+         "as in training, got {actions: {type: ContinuousAction, longitudinal: true"),
+        (["--env-config", "{action: {lateral: false}}"],
+         "expected {actions: {type: DiscreteMetaAction, longitudinal: true, lateral: true}}, as "
+         "in training, got {actions: {type: DiscreteMetaAction, longitudinal: true, lateral: f"),
+    ],
+)  # fmt: skip
+def test_traffic_that_the_policy_has_not_learned(ppo_run, call, args, words):
+    code, _, err = call(eval_cli, ppo_run, "--device", "cpu", *args)
+    assert code == 2
+    assert err.startswith("esc-eval: ")
+    assert err.count("\n") == 1
+    assert words in err
+
+
+def test_slots_that_are_rows_know_no_other_number(tmp_path, call):
+    encoder = {"hidden": (8,), "code_dim": 200}
+    assert train(tiny(repr="fp", run_dir=tmp_path / "run", encoder=encoder))
+    args = ["run", "--device", "cpu", "--episodes", 1, "--env-config"]
+    code, _, err = call(eval_cli, *args, "{vehicles_count: 9}")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "FPEncoder: expected N = 6, as in training, got 9" in err
+    assert call(eval_cli, *args, "{lanes_count: 2}")[0] == 0
+
+
+def test_what_the_run_learned_from_has_to_be_known(own_run, call):
+    args = [own_run, "--device", "cpu", "--env-config", "{vehicles_count: 9}"]
+    (own_run / "wrapper.json").write_text("{}")
+    assert "does not match its checksum" in call(eval_cli, *args)[2]
+    (own_run / "SHA256SUMS").unlink()
+    assert "wrapper.json is damaged or missing: KeyError: 'features'" in call(eval_cli, *args)[2]
 
 
 @pytest.mark.parametrize(
