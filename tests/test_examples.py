@@ -41,7 +41,13 @@ def test_none_is_missing():
             assert len(path.read_text().splitlines()) <= 40, path.name
 
 
-@pytest.mark.parametrize("name", sorted(SMALL))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if "run" in SMALL[name] else name
+        for name in sorted(SMALL)
+    ],
+)
 def test_example(name, tmp_path):
     output = start(tmp_path, str(EXAMPLES / name), *SMALL[name])
     assert output
@@ -49,6 +55,7 @@ def test_example(name, tmp_path):
         assert (tmp_path / "run" / "results.json").is_file()
 
 
+@pytest.mark.slow
 def test_scenario_by_yaml(tmp_path):
     start(
         tmp_path, "-c", TRAIN_YAML, "--config", str(EXAMPLES / "new_scenario.yaml"),

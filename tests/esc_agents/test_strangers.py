@@ -101,6 +101,6 @@ def test_without_a_place_for_a_key(tmp_path, monkeypatch):
 def test_a_record_from_before_signatures(tmp_path):
     path = tmp_path / "record.json"
     records.write(path, 1, {"a": 1})
-    path.write_text(re.sub(r' "mac": .*\n', "", path.read_text()))
+    path.write_text(re.sub(r'"mac": "\w+",', "", path.read_text()))
     assert "mac" not in path.read_text()
     assert records.read(path, 1) == {"a": 1}

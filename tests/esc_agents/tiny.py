@@ -20,6 +20,7 @@ def tiny(env: str = "highway-fast-v0", **changes: Any) -> TrainConfig:
     values = {
         **config_for_env(env).model_dump(),
         "env_config": ROAD if env == "highway-fast-v0" else {},
+        **({"observation": {}} if env == "highway-fast-v0" else {}),
         "steps": 32,
         "n_envs": 2,
         "vec": "dummy",

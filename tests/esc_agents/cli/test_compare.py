@@ -9,7 +9,7 @@ import pytest
 from esc_agents.cli import compare as cli
 from esc_agents.compare.grid import CompareConfig, scenario
 from esc_agents.config import load, shipped
-from tests.esc_agents.compare.small import ENV
+from tests.esc_agents.compare.small import ENV, HereEngine
 
 TINY = f"""
 env: [{ENV}]
@@ -34,7 +34,8 @@ def compare(call):
     return partial(call, cli)
 
 
-def test_from_nothing_to_a_report(compare):
+def test_from_nothing_to_a_report(compare, monkeypatch):
+    monkeypatch.setattr("esc_agents.compare.engines.LocalEngine", lambda workers: HereEngine())
     code, out, err = compare("--config", "tiny.yaml", "--out", "found", "--workers", "1")
     assert (code, err) == (0, "")
     assert "[1/2] highway-fast-v0-ppo/esc-s0: done" in out
@@ -46,6 +47,7 @@ def test_from_nothing_to_a_report(compare):
     assert "`esc-compare --config tiny.yaml --out found" in Path("found/report.md").read_text()
 
 
+@pytest.mark.slow
 def test_a_dry_run_trains_nothing(compare):
     code, out, err = compare("--config", "tiny.yaml", "--dry-run", "--seeds", "3")
     assert (code, err) == (0, "")

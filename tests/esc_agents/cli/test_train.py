@@ -213,6 +213,7 @@ def test_boxes_come_down_to_one_line(framed):
 SCRIPT = "import sys; from esc_agents.cli.train import main; main()"
 
 
+@pytest.mark.slow
 def test_ctrl_c_with_worker_processes(tmp_path):
     args = [*FAST, "--vec", "subproc", "--steps", "1000000", "--run-dir", "run"]
     with subprocess.Popen(

@@ -28,6 +28,7 @@ def small(**changes: Any) -> CompareConfig:
         "train": {
             "env_config": ROAD, "n_envs": 2, "encoder": {"hidden": (8,), "code_dim": 200},
             "ppo": PPO, "evaluation": {"episodes": 1},
+            "observation": {"perception_distance": 200},
         },
         **changes,
     }  # fmt: skip

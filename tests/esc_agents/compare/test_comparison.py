@@ -164,7 +164,7 @@ def test_slots_are_declared():
 @pytest.mark.parametrize(("env", "env_config"), [("two-way", {}), ("parking", {"duration": 1})])
 def test_scenarios_with_a_rule_driver_and_without(env, env_config, tmp_path, monkeypatch, capsys):
     """two-way reads the ego's meta-actions; in parking there are no lanes."""
-    monkeypatch.setattr("esc_agents.compare.report.films", lambda tasks, out: [])
+    monkeypatch.setattr("esc_agents.compare.report.films", lambda *_: [])
     train = {**small().train, "env_config": env_config}
     one = {"repr": ("esc",), "seeds": 1, "episodes": 1, "tuning": {"scales": (1.0,)}}
     compare(small(env=(env,), transfer={}, train=train, **one), tmp_path, HereEngine())

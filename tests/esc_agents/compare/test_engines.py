@@ -87,6 +87,7 @@ class Dies(Writes):
         os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_a_local_process_that_dies_is_told(tmp_path):
     with pytest.raises(UserError, match="a process of the comparison died"):
         run(LocalEngine(1), [Dies("x")], tmp_path)

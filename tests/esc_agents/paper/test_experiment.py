@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -50,7 +51,11 @@ def test_studies_go_below_at_and_above_the_rule():
     assert len(set(study("truncation", [1, 2], range(2)))) == 6 * 4
 
 
-def test_finished_cells_are_kept_and_damaged_ones_trained_again(tmp_path, capsys):
+def test_finished_cells_are_kept_and_damaged_ones_trained_again(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(  # threads: processes would import torch three times over
+        "esc_agents.paper.experiment.ProcessPoolExecutor",
+        lambda workers, *_: ThreadPoolExecutor(workers),
+    )
     arguments = ["run", *SMALL, "--seeds", "2", "--workers", "2", "--out", str(tmp_path)]
     assert cli.command(arguments) == 0
     assert "4 cells, 0 of them finished" in capsys.readouterr().out

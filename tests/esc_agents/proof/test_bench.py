@@ -39,6 +39,7 @@ def road():
     env.close()
 
 
+@pytest.mark.slow
 def test_from_start_to_end(tmp_path, capsys):
     out, readme = tmp_path / "docs" / "speed.md", tmp_path / "README.md"
     readme.write_text(f"# Before\n{MARKERS[0]}\nold\n{MARKERS[1]}\nafter\n")
@@ -84,13 +85,6 @@ def test_row():
     name, *_, compiled, same = speed.cells()
     assert (name, compiled) == ("intersection-multi-agent-v0 *", "50%")
     assert same == "seed 0 differs: speed, step 4"
-
-
-def test_tables():
-    rows = [("environment", "ratio"), ("highway-v0", "200x")]
-    lines = bench.markdown(rows).splitlines()
-    assert lines == ["| environment | ratio |", "| --- | ---: |", "| highway-v0 | 200x |"]
-    assert bench.terminal("title", rows).row_count == 1
 
 
 @pytest.mark.parametrize(

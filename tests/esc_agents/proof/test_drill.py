@@ -7,14 +7,8 @@ from esc_agents.cli.drill import command
 SHORT = ["--kills", "2", "--ppo-steps", "4000", "--sac-steps", "1200", "--only"]
 
 
-@pytest.mark.parametrize(
-    "row",
-    [
-        pytest.param("SIGKILL, PPO", marks=pytest.mark.slow),
-        pytest.param("SIGKILL, SAC", marks=pytest.mark.slow),
-        "disk full",
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("row", ["SIGKILL, PPO", "SIGKILL, SAC", "disk full"])
 def test_row(row, capsys):
     assert command([*SHORT, row]) == 0, capsys.readouterr().out
     printed = capsys.readouterr().out

@@ -15,6 +15,7 @@ from tests.esc_agents.tiny import tiny
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="measures memory as Linux does")
 
 
+@pytest.mark.slow
 def test_every_scenario_with_all_its_actions(tmp_path, capsys):
     out = tmp_path / "docs" / "reliability.md"
     count = len(cases())

@@ -1,7 +1,7 @@
 from math import inf
 
 from esc_agents.driving.episodes import Summary, table
-from esc_agents.reporting.tables import show, terminal
+from esc_agents.reporting.tables import markdown, show, terminal
 
 
 def test_table_shows_numbers_and_intervals(capsys):
@@ -14,3 +14,10 @@ def test_table_shows_numbers_and_intervals(capsys):
     for cell in ("12.30 [10.00, 14.60]", "25% [11%, 47%]", "24.6", "28.0", "3.0", "none"):
         assert cell in rows[0]
     assert "[odd] name" in rows[1]
+
+
+def test_a_markdown_table():
+    rows = [("environment", "ratio"), ("highway-v0", "200x")]
+    lines = markdown(rows).splitlines()
+    assert lines == ["| environment | ratio |", "| --- | ---: |", "| highway-v0 | 200x |"]
+    assert terminal(rows).row_count == 1

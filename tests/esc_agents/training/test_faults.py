@@ -160,6 +160,7 @@ def test_a_loss_that_is_not_finite(tmp_path, monkeypatch):
         train(tiny(steps=64, run_dir=tmp_path / "run"))
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies(tmp_path, monkeypatch):
     def die(self):
         if self.num_timesteps == 20:

@@ -28,6 +28,7 @@ from esc_agents.training.callbacks import FixedSeedEvaluation
 from esc_agents.training.checkpoint import Damaged, in_order, path_of, read, write
 from esc_agents.training.train import newest_state
 
+pytestmark = pytest.mark.slow
 REFUSALS = (UserError, Damaged, DamagedCell)
 many = settings(
     max_examples=250, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]

@@ -31,7 +31,7 @@ def steps_of(run):
 
 
 def files_of(run):
-    """What has to be the same: zips and checkpoints hold the time, a comment where the run lies."""
+    """What has to be the same: zips and checkpoints hold the time, comments where the run lies."""
     found = contents(run)
     sums = [
         f"{hashlib.sha256(content).hexdigest()}  {name}\n"
@@ -40,7 +40,7 @@ def files_of(run):
     ]
     assert found.pop("SHA256SUMS").decode() == "".join(sums)
     del found["command.txt"]
-    found["config.yaml"] = found["config.yaml"].partition(b"\n")[2]
+    found["config.yaml"] = re.sub(rb"^#.*\n", b"", found["config.yaml"], flags=re.M)
     for name, content in found.items():
         if name.endswith(".zip"):
             with zipfile.ZipFile(BytesIO(content)) as file:

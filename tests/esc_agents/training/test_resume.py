@@ -99,6 +99,7 @@ def test_the_same_command_twice(algo, n_envs, whole, tmp_path):
     assert_same(whole(algo, n_envs=n_envs), tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_with_environments_in_processes(whole, tmp_path, monkeypatch):
     kill(monkeypatch, callbacks.DrivingLog, "_on_step", 43)
     with pytest.raises(Killed):
