@@ -20,10 +20,10 @@ train: setup
 	$(BIN)/esc-train $(TRAIN)
 
 test: setup
-	$(BIN)/pytest -n $(WORKERS)
+	$(BIN)/pytest -n $(WORKERS) --dist loadgroup
 
 slow: setup
-	$(BIN)/pytest -n $(WORKERS) -m slow
+	$(BIN)/pytest -n $(WORKERS) --dist loadgroup -m slow
 
 exact: setup
 	$(BIN)/pytest tests/esc_gym/fastsim/test_exactness.py --exact-seeds 100 -n $(WORKERS)

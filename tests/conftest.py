@@ -15,3 +15,10 @@ os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="esc-gym-tests-")
 def _compiled():
     """Whatever a test says about its output, a machine's first compilation is not part of it."""
     machine()
+
+
+def pytest_collection_modifyitems(items):
+    """Tests of one finished comparison go to one worker of xdist, so that it is made once."""
+    for item in items:
+        if "compare" in item.path.parts and "compared" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.xdist_group("compared"))

@@ -7,6 +7,7 @@ from typing import Any
 from esc_agents.config import TrainConfig, config_for_env
 
 ROAD = {"vehicles_count": 6, "duration": 6, "lanes_count": 3}
+RANGES = {"x": (-100, 100), "y": (-12, 12), "vx": (-20, 20), "vy": (-5, 5)}
 PPO = {"n_steps": 16, "batch_size": 16, "n_epochs": 1, "net_arch": (8,)}
 SAC = {
     "learning_starts": 8, "batch_size": 8, "buffer_size": 200, "net_arch": (8,), "train_freq": 8,
@@ -20,7 +21,7 @@ def tiny(env: str = "highway-fast-v0", **changes: Any) -> TrainConfig:
     values = {
         **config_for_env(env).model_dump(),
         "env_config": ROAD if env == "highway-fast-v0" else {},
-        **({"observation": {}} if env == "highway-fast-v0" else {}),
+        **({"observation": {"ranges": RANGES}} if env == "highway-fast-v0" else {}),
         "steps": 32,
         "n_envs": 2,
         "vec": "dummy",

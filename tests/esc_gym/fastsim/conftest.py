@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 CHUNK = 5
-AT_ONCE = 2  # seeds in the ordinary tests; up to CHUNK is slow
+AT_ONCE = 1  # seeds in the ordinary tests; up to CHUNK is slow
 
 
 def pytest_addoption(parser):

@@ -129,6 +129,7 @@ CONFIGURATIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CONFIGURATIONS)
 def test_configuration(name):
     steps, env_id, config, event = CONFIGURATIONS[name]
@@ -136,6 +137,7 @@ def test_configuration(name):
     assert happened(recording, event)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("driver", ["LinearVehicle", "AggressiveVehicle", "DefensiveVehicle"])
 @pytest.mark.parametrize(
     ("env_id", "steps"),
