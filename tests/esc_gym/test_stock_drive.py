@@ -5,7 +5,18 @@ from __future__ import annotations
 import gymnasium as gym
 import highway_env  # noqa: F401
 import numpy as np
+import pytest
 from highway_env.envs.common.observation import observation_factory
+from highway_env.vehicle.behavior import IDMVehicle
+
+from esc_gym.fastsim.behavior import original_behavior
+
+
+@pytest.fixture(autouse=True)
+def _fresh_classes():
+    """Stock intersections change IDMVehicle for the whole process: those of other tests, and ours."""
+    with original_behavior(IDMVehicle):
+        yield
 
 
 def test_trajectories_are_highway_envs_own():

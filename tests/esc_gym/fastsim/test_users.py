@@ -155,7 +155,14 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("env_id", ["highway-fast-v0", "merge-v0", "intersection-v0"])
+@pytest.mark.parametrize(
+    "env_id",
+    [
+        "highway-fast-v0",
+        pytest.param("merge-v0", marks=pytest.mark.slow),
+        pytest.param("intersection-v0", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("name", CHANGES)
 def test_changes_between_steps(name, env_id):
     lockstep(partial(meddled, env_id, CHANGES[name]), steps=6, seeds=[1], compiled=None)
