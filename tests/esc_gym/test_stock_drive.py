@@ -14,7 +14,7 @@ from esc_gym.fastsim.behavior import original_behavior
 
 @pytest.fixture(autouse=True)
 def _fresh_classes():
-    """Stock intersections change IDMVehicle for the whole process: those of other tests, and ours."""
+    """Stock intersections change IDMVehicle for the whole process, for later tests too."""
     with original_behavior(IDMVehicle):
         yield
 
