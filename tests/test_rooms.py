@@ -94,3 +94,8 @@ def test_no_two_modules_differ_by_a_suffix():
     names = sorted({path.stem for path in rooms} - {"__init__"})
     for one, other in pairwise(names):
         assert not other.startswith(one.removesuffix("e")), (one, other)
+
+
+def test_every_command_runs_with_python_m():
+    for path in (AGENTS / "cli").glob("[!_]*.py"):
+        assert path.read_text().endswith('\n\nif __name__ == "__main__":\n    main()\n'), path

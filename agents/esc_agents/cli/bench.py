@@ -48,3 +48,7 @@ def command(args: list[str]) -> int:
     from esc_agents.proof.bench import benchmark
 
     return 0 if benchmark(**dict(arguments), command=shlex.join([PROGRAM, *args])) else 1
+
+
+if __name__ == "__main__":
+    main()

@@ -94,3 +94,7 @@ def fitting() -> int:
     except (AttributeError, ValueError, OSError):  # not told by this system
         return cores or 1
     return max(1, min(cores or 1, int(memory / (1.5 * 2**30))))
+
+
+if __name__ == "__main__":
+    main()

@@ -55,3 +55,7 @@ def command(args: list[str]) -> int:
 
     evaluate_run(**dict(arguments))
     return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -148,3 +148,7 @@ def _report(arguments: ReportArguments) -> int:
 
     report(arguments.out, arguments.trust)
     return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -92,3 +92,7 @@ def _config(arguments: TrainArguments, base: TrainArguments) -> TrainConfig:
             f"--env beside --config: expected a highway-env id, got the scenario {arguments.env!r}"
         )
     return TrainConfig(**values)
+
+
+if __name__ == "__main__":
+    main()

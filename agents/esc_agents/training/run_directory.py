@@ -147,7 +147,7 @@ def verify(path: Path, *names: str) -> None:
         if name in sums and sums[name] != _sha256(path / name):
             raise UserError(
                 f"{path / name} does not match its checksum in {CHECKSUMS}: it was damaged, or "
-                "changed after the run"
+                "changed after the run; take the directory again from where it came"
             )
 
 
