@@ -9,7 +9,7 @@ AT_ONCE = 1  # seeds in the ordinary tests; up to CHUNK is slow
 
 
 def pytest_addoption(parser):
-    parser.addoption("--exact-seeds", type=int, help="episodes of each environment, default 5")
+    parser.addoption("--exact-seeds", type=int, help="episodes of each; default 1, and 4 slow ones")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc):
