@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
@@ -159,20 +160,30 @@ class RayEngine:
 
 
 def _check_answers(address: str) -> None:
-    """Raises UserError unless a Ray answers: ray.init would try for minutes."""
+    """Raises UserError unless a Ray answers: ray.init would try for minutes.
+
+    A Ray that is starting listens before it answers, so a host:port that listens gets
+    CONNECT_SECONDS to say that it is well.
+    """
     check = [sys.executable, "-m", "ray.scripts.scripts", "health-check"]
-    try:
-        if address != "auto":
-            host, colon, port = address.rpartition(":")
-            if not colon or not port.isdecimal():
-                raise UserError(f"--address: expected auto, local or host:port, got {address!r}")
+    deadline = time.monotonic() + CONNECT_SECONDS
+    if address != "auto":
+        host, colon, port = address.rpartition(":")
+        if not colon or not port.isdecimal():
+            raise UserError(f"--address: expected auto, local or host:port, got {address!r}")
+        try:
             socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()
-            check += ["--address", address]
-        subprocess.run(check, capture_output=True, check=True, timeout=CONNECT_SECONDS)
-    except OSError as error:
-        raise UserError(f"--address {address}: {error.strerror or error}; {START}") from error
-    except subprocess.SubprocessError as error:
-        raise UserError(f"--address {address}: no Ray answers; {START}") from error
+        except OSError as error:
+            raise UserError(f"--address {address}: {error.strerror or error}; {START}") from error
+        check += ["--address", address]
+    while (left := deadline - time.monotonic()) > 0:
+        with suppress(subprocess.TimeoutExpired):
+            if subprocess.run(check, capture_output=True, timeout=left).returncode == 0:
+                return
+        if address == "auto":
+            break
+        time.sleep(0.2)
+    raise UserError(f"--address {address}: no Ray answers; {START}")
 
 
 @contextmanager

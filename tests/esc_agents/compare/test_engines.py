@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from esc_agents.compare.comparison import compare
-from esc_agents.compare.engines import LocalEngine, RayEngine
+from esc_agents.compare.engines import LocalEngine, RayEngine, _check_answers
 from esc_agents.compare.jobs import Interrupted, Progress
 from esc_agents.errors import UserError
 from esc_agents.training.callbacks import StopOnSignal
@@ -212,6 +212,21 @@ def test_an_address_where_something_else_answers(tmp_path, quiet_ray, monkeypatc
         address = f"127.0.0.1:{deaf.getsockname()[1]}"
         with pytest.raises(UserError, match=rf"--address {address}: no Ray answers"):
             run(RayEngine(address, 1), JOBS, tmp_path)
+
+
+def test_a_ray_that_listens_before_it_is_well_is_waited_for(monkeypatch):
+    asked = []
+
+    def check(command, **options):
+        asked.append(command)
+        return subprocess.CompletedProcess(command, returncode=int(len(asked) < 3))
+
+    monkeypatch.setattr(subprocess, "run", check)
+    with socket.socket() as starting:
+        starting.bind(("127.0.0.1", 0))
+        starting.listen()
+        _check_answers(f"127.0.0.1:{starting.getsockname()[1]}")
+    assert len(asked) == 3
 
 
 @pytest.mark.filterwarnings("default")
