@@ -34,6 +34,7 @@ def register_envs() -> None:
             gym.register(
                 f"{NAMESPACE}/{base_id}",
                 entry_point="esc_gym.registration:make",
+                vector_entry_point="esc_gym.vector.environment:make_vec",
                 max_episode_steps=gym.registry[base_id].max_episode_steps,
                 kwargs={"base_id": base_id},
             )

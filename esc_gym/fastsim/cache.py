@@ -28,6 +28,8 @@ from platformdirs import user_cache_path
 # Filled when Numba is imported.
 _settings: Any = import_module("numba.core.config")
 VARIABLE = "ESC_GYM_CACHE_DIR"
+# Without the interpreter's lock, so that threads share environments out among them.
+_OPTIONS: Any = {"error_model": "numpy", "nogil": True}
 
 
 @cache
@@ -60,7 +62,8 @@ def _candidates() -> Iterator[Path]:
 
 def _fingerprint() -> str:
     digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parent.glob("*.py")):
+    package = Path(__file__).parent.parent
+    for source in sorted(package.glob("fastsim/*.py")) + sorted(package.glob("vector/**/*.py")):
         digest.update(source.read_bytes())
     versions = (platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__)
     cpu = llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten()
@@ -72,10 +75,10 @@ def cached(function: Callable[..., Any]) -> Any:
     """Compile ``function`` on its first call, or take it from ``cache_directory``."""
     directory = cache_directory()
     if directory is None:
-        return numba.njit(function, error_model="numpy")
+        return numba.njit(function, **_OPTIONS)
     before, _settings.CACHE_DIR = _settings.CACHE_DIR, str(directory)
     try:
-        return numba.njit(function, error_model="numpy", cache=True)
+        return numba.njit(function, cache=True, **_OPTIONS)
     finally:
         _settings.CACHE_DIR = before
 

@@ -180,24 +180,26 @@ class Simulation:
             patience = road.YIELD_DURATION * road.REGULATION_FREQUENCY
         collecting = frames * traffic.kinds.count(LINEAR)
         samples = np.empty((collecting, SAMPLE_COLUMNS)) if collecting else NO_SAMPLES
-        progress = np.zeros(kernel.COMMAND + 1, np.int64)
+        progress = np.zeros((1, kernel.COMMAND + 1), np.int64)
         ego = 0
         if meta_action:
-            vehicle, progress[kernel.COMMAND] = meta_action
+            vehicle, progress[0, kernel.COMMAND] = meta_action
             ego = traffic.controlled(vehicle)
+        items = len(traffic.items)
+        counts = np.array([[traffic.n, items, getattr(road, "steps", 0), ego]], np.int64)
         links = network.links(bool(road.neighbour_vehicles_connected_lanes))
         while True:
             waiting = kernel.run(
-                traffic.records, network.records, *self._tables, *links, network.exits,
-                network.poses, network.widths, traffic.routes, samples, numerics, traffic.n, ego,
-                progress, frames, dt, rules_every, getattr(road, "steps", 0), patience,
+                traffic.records[None], counts, traffic.routes[None], progress, network.records,
+                *self._tables, *links, network.exits, network.poses, network.widths, samples,
+                numerics, 0, 1, frames, dt, rules_every, patience,
             )  # fmt: skip
             if waiting == kernel.NOT_FINITE:
                 raise Unknown("a vehicle with NaN or infinite state")
             if waiting == kernel.DONE:
                 break
             traffic.follow_road(waiting)
-        traffic.scatter(samples[: progress[kernel.SAMPLES]])
+        traffic.scatter(samples[: progress[0, kernel.SAMPLES]])
         if self._regulated:
             road.steps += frames
 

@@ -24,6 +24,7 @@ from esc_gym.fastsim.numerics import (
     dot,
     dot3,
     libm,
+    libm_of,
     merged,
     power,
     sin,
@@ -46,13 +47,16 @@ from esc_gym.fastsim.routes import ASK_PYTHON, follow_road
 DONE, NOT_FINITE = -1, -2
 # Entries of ``progress``.
 FRAME, DRIVER, RESUMED, SAMPLES, COMMAND = range(5)
+# Columns of ``counts``: vehicles (n), vehicles and objects (m), ``RegulatedRoad.steps``, and the
+# number of the vehicle that takes an action.
+VEHICLES, ITEMS, ROAD_STEPS, EGO = range(4)
 
 
 @compiled
 def unpack(n):
     """``Numerics`` of the integers that Python passes: a tuple would have to be typed each call."""
     return Numerics(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], n[10], n[11],
-                    n[12], n[13], n[14], n[15], n[16], n[17])  # fmt: skip
+                    n[12], n[13], n[14], n[15], n[16], n[17], n[18], n[19])  # fmt: skip
 
 
 @merged
@@ -97,31 +101,14 @@ def is_finite(v):
     return np.isfinite(total)
 
 
-@cached
-def run(
-    vehicles, lanes, lon, lat, seats, link_start, link_lane, link_offset, exits, poses, widths,
-    routes, samples, numerics, n, ego, progress, frames, dt, rules_every, road_steps, patience
-):  # fmt: skip
-    """Sub-steps until ``frames`` are done (DONE), or until a vehicle has to follow the road.
-
-    That vehicle's number is returned; call again after Python did it. NOT_FINITE if there is NaN
-    or infinity in the vehicles; then nothing was done. ``progress`` starts as zeros, but for the
-    COMMAND to the vehicle ``ego``.
-    rules_every: sub-steps between checks of the road rules, 0 for a plain road; road_steps
-    (``RegulatedRoad.steps``) and patience belong to them.
-    """
-    m = len(vehicles) - 1
-    s = Scene(
-        borrowed(vehicles), borrowed(lanes), borrowed(lon), borrowed(lat), borrowed(seats),
-        borrowed(link_start), borrowed(link_lane), borrowed(link_offset), borrowed(exits),
-        borrowed(poses), borrowed(widths), borrowed(routes), borrowed(samples),
-        n, m, unpack(numerics),
-    )  # fmt: skip
+@merged
+def advance(s, ego, progress, frames, dt, rules_every, road_steps, patience):
+    """The sub-steps of one environment. DONE, the vehicle that Python has to help, NOT_FINITE."""
     if progress[FRAME] == 0 and progress[DRIVER] == 0 and not progress[RESUMED]:
-        for i in range(m):
-            if not is_finite(vehicles[i]):
+        for i in range(s.m):
+            if not is_finite(s.vehicles[i]):
                 return NOT_FINITE
-        for i in range(m):
+        for i in range(s.m):
             locate(s, i)
     if progress[COMMAND] != NOTHING:
         waiting = obey(s, ego, progress)
@@ -135,9 +122,43 @@ def run(
         progress[DRIVER] = 0
         if rules_every > 0 and (road_steps + progress[FRAME]) % rules_every == 0:
             enforce_road_rules(s, patience)
-        for i in range(n):
+        for i in range(s.n):
             step(s, i, dt)
         collide_all(s, dt)
+    return DONE
+
+
+@cached
+def run(
+    vehicles, counts, routes, progress, lanes, lon, lat, seats, link_start, link_lane, link_offset,
+    exits, poses, widths, samples, numerics, first, last, frames, dt, rules_every, patience
+):  # fmt: skip
+    """Sub-steps of the environments ``first`` to ``last`` - 1, until ``frames`` are done (DONE).
+
+    Or until a vehicle of one of them, which is RESUMED in its ``progress``, has to follow the road:
+    its number is returned; call again after Python did it. NOT_FINITE if there is NaN or infinity
+    in the vehicles of one; then nothing was done to it.
+
+    vehicles [E, m + 1], routes [E, m, R, 2]: as in ``Scene``, for each environment. counts [E, 4]:
+    see VEHICLES. progress [E, 5]: zeros, but for the COMMAND to the vehicle EGO; an environment
+    with ``frames`` as its FRAME is left alone. rules_every: sub-steps between checks of the road
+    rules, 0 for a plain road; ROAD_STEPS and patience belong to them.
+    """
+    for e in range(first, last):
+        if progress[e, FRAME] >= frames:
+            continue
+        s = Scene(
+            borrowed(vehicles[e]), borrowed(lanes), borrowed(lon), borrowed(lat), borrowed(seats),
+            borrowed(link_start), borrowed(link_lane), borrowed(link_offset), borrowed(exits),
+            borrowed(poses), borrowed(widths), borrowed(routes[e]), borrowed(samples),
+            counts[e, VEHICLES], counts[e, ITEMS], unpack(numerics),
+        )  # fmt: skip
+        waiting = advance(
+            s, counts[e, EGO], borrowed(progress[e]), frames, dt, rules_every,
+            counts[e, ROAD_STEPS], patience,
+        )  # fmt: skip
+        if waiting != DONE:
+            return waiting
     return DONE
 
 
@@ -145,11 +166,11 @@ def run_nothing() -> None:
     """One call of ``run`` on an empty road, to have it compiled or loaded."""
     integers, numbers, table = np.zeros(1, np.int64), np.zeros(1), np.zeros((1, 0))
     run(
-        np.zeros(1, VEHICLE), np.zeros(1, LANE), table, table, table,
-        np.zeros(2, np.int64), integers, numbers, integers,
-        np.zeros((1, len(POSE_COLUMNS))), numbers, np.zeros((1, 1, 2), np.int64),
-        np.zeros((1, SAMPLE_COLUMNS)), np.zeros(len(Numerics._fields), np.int64), 0, 0,
-        np.zeros(COMMAND + 1, np.int64), 0, 0.1, 0, 0, 0.0,
+        np.zeros((1, 1), VEHICLE), np.zeros((1, EGO + 1), np.int64),
+        np.zeros((1, 1, 1, 2), np.int64), np.zeros((1, COMMAND + 1), np.int64),
+        np.zeros(1, LANE), table, table, table, np.zeros(2, np.int64), integers, numbers, integers,
+        np.zeros((1, len(POSE_COLUMNS))), numbers, np.zeros((1, SAMPLE_COLUMNS)),
+        np.zeros(len(Numerics._fields), np.int64), 0, 1, 0, 0.1, 0, 0.0,
     )  # fmt: skip
 
 
@@ -170,16 +191,17 @@ def check(numerics, inputs, outputs):
         out[6] = power(np_, abs(y), exponent)
         out[7] = power(np_, x, 2.0)
         out[8] = libm(np_.libm_pow, x, 2.0)
-        out[9] = wrap_to_pi(x)
-        out[10] = dot(np_.dot, x, y, part, angle)
-        out[11] = dot3(np_.dot, angle, part, exponent, x, y, part)
-        out[12] = sqrt(dot(np_.dot, x, y, x, y))
-        out[13] = dot(np_.matrix_vector, c, -s, x, y)
-        out[14] = dot(np_.matrix_vector, s, c, x, y)
+        out[9], out[10] = libm_of(np_.libm_sin, angle), libm_of(np_.libm_cos, angle)
+        out[11] = wrap_to_pi(x)
+        out[12] = dot(np_.dot, x, y, part, angle)
+        out[13] = dot3(np_.dot, angle, part, exponent, x, y, part)
+        out[14] = sqrt(dot(np_.dot, x, y, x, y))
+        out[15] = dot(np_.matrix_vector, c, -s, x, y)
+        out[16] = dot(np_.matrix_vector, s, c, x, y)
         rectangle(np_, 0.0, 0.0, x, y, c, s, corners)
         for index in range(4):
-            out[15 + 2 * index], out[16 + 2 * index] = corners[index]
+            out[17 + 2 * index], out[18 + 2 * index] = corners[index]
         for index in range(9):
             u, v = corner_offsets(index, x, y)
-            out[23 + 2 * index] = dot(np_.matrix_matrix, c, -s, u, v) + 0.0
-            out[24 + 2 * index] = dot(np_.matrix_matrix, s, c, u, v) + 0.0
+            out[25 + 2 * index] = dot(np_.matrix_matrix, c, -s, u, v) + 0.0
+            out[26 + 2 * index] = dot(np_.matrix_matrix, s, c, u, v) + 0.0

@@ -179,3 +179,33 @@ def source_digest() -> str:
         if callable(function) or isinstance(function, staticmethod):
             digest.update(inspect.getsource(getattr(function, "__func__", function)).encode())
     return digest.hexdigest()
+
+
+class Repeated:
+    """Code of highway-env that a part of the batch engine repeats.
+
+    digest: of its source, in highway-env 1.12.1. parts: (class or module, "names of functions").
+    """
+
+    def __init__(self, digest: str, *parts: tuple[Any, str]) -> None:
+        self._digest = digest
+        self._names = [(vars(owner), name) for owner, names in parts for name in names.split()]
+        self._functions = self._found()
+
+    def _found(self) -> list[Any]:
+        return [namespace.get(name) for namespace, name in self._names]
+
+    def digest(self) -> str:
+        """Of the source as it is. Raises OSError where Python cannot find it."""
+        digest = hashlib.sha256()
+        for function in self._functions:
+            function = getattr(function, "fget", getattr(function, "__func__", function))
+            digest.update(inspect.getsource(function).encode())
+        return digest.hexdigest()
+
+    def differs(self) -> bool:
+        """Is the code another than that which is repeated, by its release or by a patch?"""
+        try:
+            return self._found() != self._functions or self.digest() != self._digest
+        except OSError:
+            return True

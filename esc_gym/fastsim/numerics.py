@@ -9,6 +9,7 @@ which, by comparing, and everything is compared again before the first use.
 from __future__ import annotations
 
 import ctypes
+import math
 from itertools import product
 from typing import Any
 
@@ -89,6 +90,17 @@ def libm(typing_context, address, x, y):
         return builder.call(builder.inttoptr(arguments[0], shape), arguments[1:])
 
     return types.float64(types.int64, types.float64, types.float64), generate
+
+
+@intrinsic
+def libm_of(typing_context, address, x):
+    """f(x) by a C function: what Python's ``math`` calls."""
+
+    def generate(context, builder, signature, arguments):
+        shape = ir.FunctionType(_DOUBLE, [_DOUBLE]).as_pointer()
+        return builder.call(builder.inttoptr(arguments[0], shape), arguments[1:])
+
+    return types.float64(types.int64, types.float64), generate
 
 
 @intrinsic
@@ -212,15 +224,15 @@ def loop_address(function: np.ufunc) -> tuple[int, int]:
     return address, extra or 0
 
 
-def _libm_pow() -> int:
-    return ctypes.cast(ctypes.CDLL(None).pow, ctypes.c_void_p).value or 0
+def _libm(name: str) -> int:
+    return ctypes.cast(getattr(ctypes.CDLL(None), name), ctypes.c_void_p).value or 0
 
 
 def _loops() -> dict[str, int]:
     loops = {}
     for name in FUNCTIONS:
         loops[name], loops[f"{name}_data"] = loop_address(getattr(np, name))
-    return {**loops, "libm_pow": _libm_pow()}
+    return {**loops, **{f"libm_{name}": _libm(name) for name in ("pow", "sin", "cos")}}
 
 
 def measure(check: Any, count: int = 600) -> tuple[Numerics | None, str]:
@@ -258,7 +270,7 @@ def measure(check: Any, count: int = 600) -> tuple[Numerics | None, str]:
 # What is compared, and how many numbers each gives; the groups depend on how products are rounded.
 WIDTHS = {
     **dict.fromkeys(FUNCTIONS, 1),
-    "square": 1, "python_square": 1, "wrap_to_pi": 1,
+    "square": 1, "python_square": 1, "python_sin": 1, "python_cos": 1, "wrap_to_pi": 1,
     "dot": 1, "dot3": 1, "norm": 1, "matrix_vector": 2, "polygon": 8, "corners": 18,
 }  # fmt: skip
 ROUNDED = (("dot", "dot3", "norm"), ("matrix_vector",), ("polygon", "corners"))
@@ -294,6 +306,7 @@ def _truth(inputs: np.ndarray) -> np.ndarray:
             s, c, np.tan(angle), np.arcsin(part), np.arctan(x), np.arctan2(x, y),
             np.power(abs(y), exponent), np.power(x, 2),
             x**2 if x**2 == np.float64(x) ** 2 else np.nan,
+            math.sin(angle), math.cos(angle),
             utils.wrap_to_pi(x),
             np.dot(vector, np.array([part, angle])),
             np.dot([angle, part, exponent], np.array([x, y, part])),

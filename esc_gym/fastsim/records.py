@@ -99,6 +99,8 @@ class Numerics(NamedTuple):
     power: int
     power_data: int
     libm_pow: int
+    libm_sin: int
+    libm_cos: int
     dot: int
     matrix_vector: int
     matrix_matrix: int

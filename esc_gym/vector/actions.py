@@ -1,0 +1,93 @@
+"""What highway-env's action types make of an action, for a batch of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from highway_env import utils
+from highway_env.envs.common.action import ContinuousAction, DiscreteAction, DiscreteMetaAction
+
+from esc_gym.fastsim.engine import COMMANDS, SPEED_STEPS
+from esc_gym.fastsim.records import KEEP
+
+NO_ACTIONS = np.zeros(0, np.int64)
+
+
+class Actions:
+    """A batch of actions as the kernels take it: meta-actions, or steering and acceleration."""
+
+    def __init__(self, action_type: Any, count: int) -> None:
+        self.type, self.count = action_type, count
+        self.meta = isinstance(action_type, DiscreteMetaAction)
+        names = list(action_type.actions.values()) if self.meta else []
+        self.commands = np.array([COMMANDS.get(name, KEEP) for name in names], np.int64)
+        self.speed_steps = np.array([SPEED_STEPS.get(name, 0) for name in names], np.int64)
+        self.target_speeds = np.array(action_type.target_speeds if self.meta else [0.0, 1.0], float)
+        self.controls = np.zeros((count, 2))
+        speed_range = getattr(action_type, "speed_range", None) or (np.inf, -np.inf)
+        self.speed_range = np.array(speed_range, float)
+        self.table = None
+        if isinstance(action_type, DiscreteAction):
+            self.table = np.array([self._controls(a) for a in range(action_type.space().n)])
+
+    @staticmethod
+    def unknown(action_type: Any) -> str:
+        """Why a type of action cannot be done in a batch; "" if it can."""
+        kind = type(action_type)
+        if kind not in (DiscreteMetaAction, DiscreteAction, ContinuousAction):
+            return f"action type {kind.__name__}"
+        if kind is DiscreteMetaAction:
+            speeds = action_type.target_speeds
+            if len(speeds) < 2 or speeds[0] == speeds[-1]:
+                return "target speeds that are all the same"
+        return ""
+
+    def checked(self, actions: Any) -> np.ndarray:
+        """The batch as an array of the shape that the action space has, or ValueError."""
+        actions = np.asarray(actions)
+        space = self.type.space()
+        shape = (self.count, *space.shape)
+        if actions.shape != shape:
+            raise ValueError(f"actions: expected shape {shape}, got {actions.shape}.")
+        if space.shape:
+            if not np.isfinite(actions).all():
+                raise ValueError("actions: expected finite numbers, got NaN or infinity.")
+        elif not np.issubdtype(actions.dtype, np.integer):
+            raise ValueError(f"actions: expected whole numbers, got {actions.dtype}.")
+        elif ((actions < 0) | (actions >= space.n)).any():
+            bad = actions[(actions < 0) | (actions >= space.n)][0]
+            raise ValueError(f"actions: expected 0 to {space.n - 1}, got {bad}.")
+        return actions
+
+    def taken(self, actions: np.ndarray) -> np.ndarray:
+        """Meta-actions as numbers; of others ``controls`` is filled."""
+        if self.meta:
+            return np.ascontiguousarray(actions, np.int64)
+        if self.table is not None:
+            self.controls[:] = self.table[actions]
+            return NO_ACTIONS
+        self.controls[:, 0], self.controls[:, 1] = self._split(actions)
+        return NO_ACTIONS
+
+    def _split(self, actions: Any) -> tuple[Any, Any]:
+        """(steering, acceleration): ``ContinuousAction.get_action``, in the actions' own type."""
+        kind = self.type
+        actions = np.clip(actions, -1, 1) if kind.clip else actions
+        steering = acceleration = 0.0
+        if kind.longitudinal:
+            acceleration = utils.lmap(actions[:, 0], [-1, 1], kind.acceleration_range)
+        if kind.lateral:
+            steering = utils.lmap(actions[:, -1], [-1, 1], kind.steering_range)
+        return steering, acceleration
+
+    def _controls(self, action: int) -> tuple[float, float]:
+        """(steering, acceleration) of a ``DiscreteAction``."""
+        vehicle, taken = self.type.controlled_vehicle, {}
+        own = vars(vehicle)
+        own["act"] = taken.update
+        try:
+            self.type.act(action)
+        finally:
+            del own["act"]
+        return float(taken["steering"]), float(taken["acceleration"])

@@ -1,0 +1,351 @@
+"""``SetVectorEnv``: many environments of one id as a Gymnasium vector environment."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from esc_gym import fastsim
+from esc_gym.registration import make
+from esc_gym.vector.engine import Engine, family_of
+from esc_gym.vector.kernel import TERMINATED, TRUNCATED
+from esc_gym.vector.objects import materialise
+
+Infos = dict[str, Any]
+HEADER = b"esc_gym snapshot 1\n"
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a batch is simulated.
+
+    engine: in the batch engine. reason: why not, "" if it is. environments: of the environments
+    one by one, where they are not in the engine.
+    """
+
+    engine: bool
+    reason: str
+    environments: tuple[fastsim.Report, ...] = ()
+
+    def __str__(self) -> str:
+        if self.engine:
+            return "all environments in the batch engine"
+        lines = [f"environment {i}: {report}" for i, report in enumerate(self.environments)]
+        return "\n".join([f"each environment on its own: {self.reason}", *lines])
+
+
+class SetVectorEnv(VectorEnv):
+    """``num_envs`` environments of one id, observed as sets; what ``gym.make_vec`` makes of ours.
+
+    Environment i, reset with seed s, gives to the last bit what ``gym.make`` of the same id with
+    seed s gives: observations, rewards, ends, infos, over resets too. State lives in arrays
+    and one compiled call steps all of them; a configuration that the engine does not know runs
+    one environment after the other, with the same results, and ``report()`` says why.
+
+    Args:
+        base_id: the highway-env id.
+        num_envs: how many.
+        config: merged into that id's default configuration, as for ``gym.make``.
+        threads: that share the environments out among them; results do not depend on it.
+        autoreset_mode: what follows the end of an episode, as in ``gymnasium.vector``:
+            ``"NextStep"``, ``"SameStep"`` or ``"Disabled"``.
+        max_episode_steps: policy steps until an episode is truncated; None: as the id says.
+        render_mode: None or ``"rgb_array"``.
+        copy: return copies of observations; False: the arrays that the next step overwrites.
+        set_observation: arguments of ``SetObservation``.
+
+    ``info`` has, each with its mask ``_name``: ``speed``, ``crashed``, ``action``, ``rewards`` (a
+    dictionary by name) and ``set`` (``count``, ``overflow``, and ``ids`` [num_envs, N], -1 past the
+    real rows). The action that highway-env draws at a reset to fill its info is left out.
+
+    Raises ValueError for bad arguments and actions.
+
+    Example:
+        >>> import gymnasium as gym, esc_gym
+        >>> envs = gym.make_vec("esc_gym/highway-fast-v0", num_envs=4)
+        >>> observations, infos = envs.reset(seed=0)
+        >>> observations["vehicles"].shape
+        (4, 20, 7)
+    """
+
+    def __init__(
+        self,
+        base_id: str,
+        num_envs: int = 1,
+        config: Mapping[str, Any] | None = None,
+        threads: int = 1,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+        copy: bool = True,
+        **set_observation: Any,
+    ) -> None:
+        self.num_envs = _at_least_one("num_envs", num_envs)
+        threads = _at_least_one("threads", threads)
+        mode = self.autoreset_mode = _mode(autoreset_mode)
+        if render_mode == "human":
+            raise ValueError("render_mode: expected None or 'rgb_array' for a batch, got 'human'.")
+        self.render_mode, self.copy = render_mode, copy
+        self._limit = 0 if max_episode_steps in (None, -1) else max_episode_steps
+
+        def make_one() -> gym.Env:
+            env: gym.Env = make(base_id, config, render_mode, **set_observation)
+            return gym.wrappers.TimeLimit(env, self._limit) if self._limit else env
+
+        self._make_one: Callable[[], gym.Env] = make_one
+        env = make_one()
+        self.set_spec = env.get_wrapper_attr("set_spec")
+        self.metadata = {**env.metadata, "autoreset_mode": mode}
+        self.single_observation_space, self.single_action_space = (
+            env.observation_space, env.action_space,
+        )  # fmt: skip
+        self.observation_space = batch_space(env.observation_space, self.num_envs)
+        self.action_space = batch_space(env.action_space, self.num_envs)
+        env.reset(seed=0)
+        accelerated = set_observation.get("accelerate", True)
+        family, self._reason = (
+            family_of(env.unwrapped) if accelerated else (None, "accelerate=False")
+        )
+        self._warned = False
+        self._engine: Any = None
+        self._envs: Any = None
+        if family:
+            same_step = mode is AutoresetMode.SAME_STEP
+            self._engine = Engine(env, family, self.num_envs, threads, self._limit, same_step)
+        else:
+            self._envs = SyncVectorEnv([make_one] * self.num_envs, copy, autoreset_mode=mode)
+            env.close()
+
+    def report(self) -> Report:
+        """Whether the batch engine simulates this, and if not, why."""
+        reports = () if self._engine else tuple(map(fastsim.report, self._envs.envs))
+        return Report(self._engine is not None, self._reason, reports)
+
+    @property
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """The generators of the environments; copies, drawing from them changes nothing."""
+        return self._engine.generators() if self._engine else self._envs.np_random
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """The seeds with which the environments began."""
+        return tuple(self._engine.seeds) if self._engine else self._envs.np_random_seed
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[dict[str, np.ndarray], Infos]:
+        """Reset all environments, or those that ``options["reset_mask"]`` (bool [num_envs]) names.
+
+        seed: environment i gets seed + i; or one seed for each; None: go on drawing.
+        """
+        options = dict(options or {})
+        seeds = _seeds(seed, self.num_envs)
+        if not self._engine:
+            observation, infos = self._envs.reset(seed=seeds, options=options or None)
+            return observation, self._told(infos)
+        mask = _mask(options.pop("reset_mask", None), self.num_envs)
+        if options:
+            raise ValueError(
+                f"options: expected nothing but 'reset_mask', got {', '.join(options)}; another "
+                "configuration is for gym.make_vec(..., config=...)."
+            )
+        self._engine.reset(seeds, mask)
+        self._note_overflow()
+        return self._observation(self._engine.now), self._infos(self._engine.now, mask)
+
+    def step(
+        self, actions: Any
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, Infos]:
+        """One policy step of every environment.
+
+        Raises ValueError for actions of another shape, outside the action space, or not finite;
+        then no environment has moved.
+        """
+        if not self._engine:
+            observation, *rest, infos = self._envs.step(actions)
+            return observation, *rest, self._told(infos)  # type: ignore[return-value]
+        engine = self._engine
+        over = engine.state.heads["over"] != 0
+        if self.autoreset_mode is AutoresetMode.DISABLED and over.any():
+            raise ValueError(
+                f"environment {int(np.argmax(over))} has ended; reset it first: "
+                "reset(options={'reset_mask': terminations | truncations})."
+            )
+        engine.step(actions)
+        self._note_overflow()
+        everywhere = np.ones(self.num_envs, bool)
+        infos = self._infos(engine.now, everywhere)
+        ends = engine.ends.copy()
+        ended = ends.any(axis=1)
+        moved = ~ended if self.autoreset_mode is AutoresetMode.SAME_STEP else ~over
+        taken = np.array(actions)
+        if moved.any():
+            infos["action"], infos["_action"] = taken, moved
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
+            self._add_final(infos, ended, taken)
+        return (
+            self._observation(engine.now), engine.rewards.copy(),
+            ends[:, TERMINATED].copy(), ends[:, TRUNCATED].copy(), infos,
+        )  # fmt: skip
+
+    def _observation(self, outputs: Any) -> dict[str, np.ndarray]:
+        seen = outputs.seen
+        parts = {"ego": seen.ego, "vehicles": seen.vehicles, "mask": seen.mask}
+        return {name: part.copy() for name, part in parts.items()} if self.copy else parts
+
+    def _infos(self, outputs: Any, mask: np.ndarray) -> Infos:
+        told, seen = outputs.told, outputs.seen
+        names = self._engine.family.REWARDS
+        return {
+            **_masked({"speed": told.speed.copy(), "crashed": told.crashed.copy()}, mask),
+            "rewards": _masked(dict(zip(names, told.rewards.T.copy(), strict=True)), mask),
+            "_rewards": mask.copy(),
+            "set": _masked(
+                {
+                    "count": seen.counts[:, 0].copy(),
+                    "overflow": seen.counts[:, 1].copy(),
+                    "ids": seen.ids.copy(),
+                },
+                mask,
+            ),
+            "_set": mask.copy(),
+        }
+
+    def _add_final(self, infos: Infos, ended: np.ndarray, taken: np.ndarray) -> None:
+        """What the last step of those episodes gave that have ended and begun anew."""
+        final = self._engine.final
+        observations = np.full(self.num_envs, None, object)
+        for e in np.flatnonzero(ended):
+            seen = final.seen
+            observations[e] = {
+                "ego": seen.ego[e].copy(),
+                "vehicles": seen.vehicles[e].copy(),
+                "mask": seen.mask[e].copy(),
+            }
+        final_info = self._infos(final, ended)
+        final_info["action"], final_info["_action"] = taken, ended.copy()
+        infos["final_obs"], infos["_final_obs"] = observations, ended.copy()
+        infos["final_info"], infos["_final_info"] = final_info, ended.copy()
+
+    def _told(self, infos: Infos) -> Infos:
+        """Infos of environments one by one, in the form in which the engine gives them."""
+        parts = [infos, infos["final_info"]] if "final_info" in infos else [infos]
+        for part in parts:
+            if "set" in part:
+                rows = part["set"]["ids"]
+                ids = np.full((self.num_envs, self.set_spec.max_vehicles), -1)
+                for e in np.flatnonzero(part["set"]["_ids"]):
+                    ids[e, : len(rows[e])] = rows[e]
+                part["set"]["ids"] = ids
+        return infos
+
+    def _note_overflow(self) -> None:
+        """Say that vehicles were left out, as ``SetObservation`` does."""
+        counts = self._engine.now.seen.counts
+        if self._warned or not counts[:, 1].any():
+            return
+        count, n = int(counts[:, 0].max()), self.set_spec.max_vehicles
+        message = (
+            f"{count} vehicles within {self.set_spec.perception_distance:g} m, but max_vehicles="
+            f"{n}: the {n} nearest are kept. Raise max_vehicles to {count} or more to keep all; "
+            "infos['set']['overflow'] counts those left out."
+        )
+        if self.set_spec.on_overflow == "error":
+            raise OverflowError(message)
+        warnings.warn(message, stacklevel=3)
+        self._warned = True
+
+    def materialise(self, index: int) -> gym.Env:
+        """A ``gym.make`` environment in exactly the state of environment ``index``.
+
+        For rendering, debugging and films; stepping it changes nothing here.
+        """
+        if not self._engine:
+            return pickle.loads(pickle.dumps(self._envs.envs[_index(index, self.num_envs)]))
+        env = self._make_one()
+        env.reset(seed=0)
+        materialise(env, self._engine.state, _index(index, self.num_envs))
+        if self._limit:
+            env._elapsed_steps = int(self._engine.state.heads["elapsed"][index])  # type: ignore[attr-defined]
+        return env
+
+    def render(self) -> tuple[Any, ...] | None:
+        """A frame of every environment."""
+        if self.render_mode is None:
+            return None
+        if not self._engine:
+            return self._envs.render()
+        return tuple(self.materialise(index).render() for index in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        if self._envs:
+            self._envs.close()
+        if self._engine:
+            self._engine.close()
+
+
+def make_vec(base_id: str, num_envs: int = 1, **arguments: Any) -> SetVectorEnv:
+    """Vector entry point of the ids."""
+    return SetVectorEnv(base_id, num_envs, **arguments)
+
+
+def _masked(values: dict[str, Any], mask: np.ndarray) -> Infos:
+    """``values`` with a mask ``_name`` beside each."""
+    return {
+        key: part for name, value in values.items()
+        for key, part in ((name, value), (f"_{name}", mask.copy()))
+    }  # fmt: skip
+
+
+def _at_least_one(name: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise ValueError(f"{name}: expected a whole number of at least 1, got {value!r}.")
+    return int(value)
+
+
+def _mode(mode: str | AutoresetMode) -> AutoresetMode:
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        known = ", ".join(repr(mode.value) for mode in AutoresetMode)
+        raise ValueError(f"autoreset_mode: expected one of {known}; got {mode!r}.") from None
+
+
+def _index(index: Any, count: int) -> int:
+    if not -count <= index < count:
+        raise ValueError(f"expected an environment from 0 to {count - 1}, got {index!r}.")
+    return int(index) % count
+
+
+def _seeds(seed: Any, count: int) -> list[int | None]:
+    if seed is None:
+        return [None] * count
+    if isinstance(seed, int | np.integer):
+        return [int(seed) + i for i in range(count)]
+    seeds = [None if s is None else int(s) for s in seed]
+    if len(seeds) != count:
+        raise ValueError(
+            f"seed: expected {count} seeds, one for each environment, got {len(seeds)}."
+        )
+    return seeds
+
+
+def _mask(mask: Any, count: int) -> np.ndarray:
+    if mask is None:
+        return np.ones(count, bool)
+    if not isinstance(mask, np.ndarray) or mask.shape != (count,) or mask.dtype != bool:
+        raise ValueError(f"options['reset_mask']: expected a bool array of shape ({count},).")
+    if not mask.any():
+        raise ValueError("options['reset_mask']: expected at least one environment to reset.")
+    return mask.copy()

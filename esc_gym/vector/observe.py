@@ -1,0 +1,322 @@
+"""The set observation in compiled code: what ``SetObservationType.observe`` gives, to the last bit.
+
+``view`` is what ``features.EgoView`` holds, ``s`` the Scene of one environment, ``i`` a vehicle or
+object. Sines and cosines are Python's ``math``, as in ``features.py``.
+"""
+
+from __future__ import annotations
+
+from math import copysign, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from esc_gym.fastsim.geometry import heading_at, local_coordinates, position
+from esc_gym.fastsim.numerics import compiled, dot, libm_of, outlined
+from esc_gym.fastsim.records import CONTROLLED, NO_LANE, OBSTACLE
+from esc_gym.features import EGO_FEATURES, VEHICLE_FEATURES
+from esc_gym.vector import generators
+
+# The columns that are known here; their numbers are what the compiled code is told.
+VEHICLE_COLUMNS = (
+    "x", "y", "vx", "vy", "cos_h", "sin_h", "obstacle", "length", "width", "cos_d", "sin_d",
+)  # fmt: skip
+X, Y, VX, VY, COS_H, SIN_H, IS_OBSTACLE, LENGTH, WIDTH, COS_D, SIN_D = range(11)
+EGO_COLUMNS = (
+    "speed", "lat_off", "cos_lane", "sin_lane", "lanes_left", "lanes_right", "speed_limit",
+    "target_speed", "target_lat_off", "lateral_speed", "yaw_rate", "dest_x", "dest_y",
+    "exit_x", "exit_y", "ref_lat_off", "ref_cos", "ref_sin",
+)  # fmt: skip
+(
+    SPEED, LAT_OFF, COS_LANE, SIN_LANE, LANES_LEFT, LANES_RIGHT, SPEED_LIMIT, TARGET_SPEED,
+    TARGET_LAT_OFF, LATERAL_SPEED, YAW_RATE, DEST_X, DEST_Y, EXIT_X, EXIT_Y, REF_LAT_OFF, REF_COS,
+    REF_SIN,
+) = range(18)  # fmt: skip
+ORDERS, ROAD, SHUFFLED, DISTANCE = ("road", "shuffled", "distance"), 0, 1, 2
+# Entries of ``rules``; LANE is that of exit_x and ref_lat_off, or -1.
+ORDER, BODY_FRAME, VIRTUAL, LANE = range(4)
+
+
+class Spec(NamedTuple):
+    """``SetSpec`` for compiled code.
+
+    reach: perception distance [m]. rules: see ORDER. columns [d1], center, half: numbers in
+    VEHICLE_COLUMNS and scale of the vehicles' columns; ego_* [d2] likewise. virtual [d1]: the row
+    that stands for nobody.
+    """
+
+    reach: float
+    rules: np.ndarray
+    columns: np.ndarray
+    center: np.ndarray
+    half: np.ndarray
+    ego_columns: np.ndarray
+    ego_center: np.ndarray
+    ego_half: np.ndarray
+    virtual: np.ndarray
+
+
+class Output(NamedTuple):
+    """One observation of each of E environments, as the spaces have it.
+
+    ego [E, d2], vehicles [E, N, d1], mask [E, N]; ids [E, N] with -1 past the M real rows;
+    counts [E, 2]: all that are perceived, and those left out.
+    """
+
+    ego: np.ndarray
+    vehicles: np.ndarray
+    mask: np.ndarray
+    ids: np.ndarray
+    counts: np.ndarray
+
+
+def unknown(kind: Any) -> str:
+    """Why an observation type cannot be computed here; "" if it can."""
+    spec = kind.spec
+    for names, known, table in (
+        (spec.features, VEHICLE_COLUMNS, VEHICLE_FEATURES),
+        (spec.ego_features, EGO_COLUMNS, EGO_FEATURES),
+    ):
+        for name in names:
+            if name not in known or table[name] is not _TABLES[known][name]:
+                return f"feature {name!r}"
+    return ""
+
+
+# The rows as they are when this is imported: one that somebody replaces is not known here.
+_TABLES = {VEHICLE_COLUMNS: dict(VEHICLE_FEATURES), EGO_COLUMNS: dict(EGO_FEATURES)}
+
+
+def spec_of(kind: Any, lane: int = -1) -> Spec:
+    """The ``Spec`` of a ``SetObservationType``."""
+    spec, rows, ego = kind.spec, kind.rows, kind.ego
+    rules = ORDERS.index(spec.order), spec.frame == "ego", spec.empty == "virtual", lane
+    return Spec(
+        spec.perception_distance,
+        np.array(rules, np.int64),
+        np.array([VEHICLE_COLUMNS.index(name) for name in spec.features], np.int64),
+        rows.center, rows.half,
+        np.array([EGO_COLUMNS.index(name) for name in spec.ego_features], np.int64),
+        ego.center, ego.half,
+        kind._virtual_row().astype(np.float32),
+    )  # fmt: skip
+
+
+class View(NamedTuple):
+    """``features.EgoView``."""
+
+    x: float
+    y: float
+    heading: float
+    speed: float
+    vx: float
+    vy: float
+    cos: float
+    sin: float
+    longitudinal: float
+    lateral: float
+
+
+@compiled
+def view_of(s, ego, body_frame):
+    me = s.vehicles[ego]
+    c, n = libm_of(s.np.libm_cos, me.heading), libm_of(s.np.libm_sin, me.heading)
+    longitudinal, lateral = local_coordinates(s, me.lane, me.x, me.y)
+    return View(
+        me.x, me.y, me.heading, me.speed, me.speed * c, me.speed * n,
+        c if body_frame else 1.0, n if body_frame else 0.0, longitudinal, lateral,
+    )  # fmt: skip
+
+
+@compiled
+def forward(view, x, y):
+    return view.cos * x + view.sin * y
+
+
+@compiled
+def right(view, x, y):
+    return view.cos * y - view.sin * x
+
+
+@outlined
+def destination(s, i):
+    """(is there a route, x, y): ``RoadObject.destination``."""
+    vehicle = s.vehicles[i]
+    if vehicle.route_length == 0:
+        return False, vehicle.x, vehicle.y
+    last = vehicle.route_taken + vehicle.route_length - 1
+    road, lane = s.routes[i, last, 0], s.routes[i, last, 1]
+    k = road + (0 if lane == NO_LANE else lane)
+    x, y = position(s, k, s.lanes[k].length)
+    return True, x, y
+
+
+@outlined
+def destination_direction(s, i):
+    """``features._destination``: unit vector to the end of the route."""
+    routed, x, y = destination(s, i)
+    vehicle = s.vehicles[i]
+    dx, dy = x - vehicle.x, y - vehicle.y
+    if not routed or (dx == 0.0 and dy == 0.0):
+        return 0.0, 0.0
+    norm = sqrt(dot(s.np.dot, dx, dy, dx, dy))
+    return dx / norm, dy / norm
+
+
+@outlined
+def vehicle_row(s, view, i, spec, row):
+    """The row of one vehicle or obstacle, scaled (``features.default_row`` and the extra ones)."""
+    other = s.vehicles[i]
+    c, n = libm_of(s.np.libm_cos, other.heading), libm_of(s.np.libm_sin, other.heading)
+    dx, dy = other.x - view.x, other.y - view.y
+    vx, vy = other.speed * c - view.vx, other.speed * n - view.vy
+    turned = not (view.sin == 0.0 and view.cos == 1.0)
+    goal_x = goal_y = 0.0
+    for column in range(len(spec.columns)):
+        what = spec.columns[column]
+        if what in (COS_D, SIN_D):
+            goal_x, goal_y = destination_direction(s, i)
+    for column in range(len(spec.columns)):
+        what = spec.columns[column]
+        if what == X:
+            value = forward(view, dx, dy) if turned else dx
+        elif what == Y:
+            value = right(view, dx, dy) if turned else dy
+        elif what == VX:
+            value = forward(view, vx, vy) if turned else vx
+        elif what == VY:
+            value = right(view, vx, vy) if turned else vy
+        elif what == COS_H:
+            value = forward(view, c, n) if turned else c
+        elif what == SIN_H:
+            value = right(view, c, n) if turned else n
+        elif what == IS_OBSTACLE:
+            value = 1.0 if other.kind >= OBSTACLE else 0.0
+        elif what == LENGTH:
+            value = other.length
+        elif what == WIDTH:
+            value = other.width
+        elif what == COS_D:
+            value = forward(view, goal_x, goal_y)
+        else:
+            value = right(view, goal_x, goal_y)
+        row[column] = np.float32((value - spec.center[column]) / spec.half[column])
+
+
+@outlined
+def ego_value(s, view, ego, what, lane):
+    """One ego feature in physical units (``features.EGO_FEATURES``)."""
+    me = s.vehicles[ego]
+    here = s.lanes[me.lane]
+    if what == SPEED:
+        return view.speed
+    if what == LAT_OFF:
+        return view.lateral
+    if what == COS_LANE:
+        return libm_of(s.np.libm_cos, view.heading - heading_at(s, me.lane, view.longitudinal))
+    if what == SIN_LANE:
+        return libm_of(s.np.libm_sin, view.heading - heading_at(s, me.lane, view.longitudinal))
+    if what == LANES_LEFT:
+        return np.float64(here.id)
+    if what == LANES_RIGHT:
+        return np.float64(here.count - 1 - here.id)
+    if what == SPEED_LIMIT:
+        return here.speed_limit if here.limited else 40.0
+    if what == TARGET_SPEED:
+        return me.target_speed if me.kind >= CONTROLLED else view.speed
+    if what == TARGET_LAT_OFF:
+        if me.kind < CONTROLLED or me.target_lane == me.lane:
+            return view.lateral
+        return local_coordinates(s, me.target_lane, me.x, me.y)[1]
+    if what == LATERAL_SPEED:
+        return me.lateral_speed
+    if what == YAW_RATE:
+        return me.yaw_rate
+    if what in (DEST_X, DEST_Y):
+        routed, x, y = destination(s, ego)
+        dx, dy = (x - view.x, y - view.y) if routed else (0.0, 0.0)
+        return forward(view, dx, dy) if what == DEST_X else right(view, dx, dy)
+    longitudinal, lateral = local_coordinates(s, lane, me.x, me.y)
+    if what == EXIT_X:
+        return longitudinal
+    if what in (EXIT_Y, REF_LAT_OFF):
+        return lateral
+    angle = view.heading - heading_at(s, lane, longitudinal)
+    return libm_of(s.np.libm_cos if what == REF_COS else s.np.libm_sin, angle)
+
+
+@compiled
+def perceive(s, view, ego, reach, near, squares):
+    """All that is within ``reach``, in road order, into ``near`` and ``squares``; how many."""
+    found = 0
+    for i in range(s.m):
+        other = s.vehicles[i]
+        dx, dy = other.x - view.x, other.y - view.y
+        square = dx * dx + dy * dy
+        if square < reach * reach and i != ego and other.solid:
+            near[found], squares[found] = i, square
+            found += 1
+    return found
+
+
+@compiled
+def by_distance(near, squares, count):
+    """Sort by distance; of equals, the first stays first."""
+    for place in range(1, count):
+        i, square = near[place], squares[place]
+        while place > 0 and squares[place - 1] > square:
+            near[place], squares[place] = near[place - 1], squares[place - 1]
+            place -= 1
+        near[place], squares[place] = i, square
+
+
+@compiled
+def nearest(near, squares, count, kept):
+    """Leave the ``kept`` nearest, in road order; of equals, the first."""
+    ranked, ordered = near[:count].copy(), squares[:count].copy()
+    by_distance(ranked, ordered, count)
+    chosen = np.sort(ranked[:kept])
+    place = 0
+    for index in range(count):
+        if place < kept and near[index] == chosen[place]:
+            near[place], squares[place] = near[index], squares[index]
+            place += 1
+
+
+@outlined
+def observe(s, ego, e, spec, order_generator, ids, next_id, out):
+    """The observation of environment ``e`` into row e of ``out``; the next free id.
+
+    ids [m]: the number by which each vehicle is known since it was first perceived, -1 before.
+    """
+    view = view_of(s, ego, spec.rules[BODY_FRAME])
+    near, squares = np.empty(s.m, np.int64), np.empty(s.m)
+    count = perceive(s, view, ego, spec.reach, near, squares)
+    for index in range(count):
+        if ids[near[index]] < 0:
+            ids[near[index]] = next_id
+            next_id += 1
+    n = out.vehicles.shape[1]
+    kept = min(count, n)
+    if count > n:
+        nearest(near, squares, count, n)
+    if spec.rules[ORDER] == DISTANCE:
+        by_distance(near, squares, kept)
+    elif spec.rules[ORDER] == SHUFFLED:
+        generators.shuffle(order_generator, near, kept)
+    for row in range(kept):
+        vehicle_row(s, view, near[row], spec, out.vehicles[e, row])
+        out.ids[e, row] = ids[near[row]]
+    out.vehicles[e, kept:] = 0.0
+    out.mask[e, :kept], out.mask[e, kept:] = 1, 0
+    out.ids[e, kept:] = -1
+    if kept == 0 and spec.rules[VIRTUAL]:
+        out.vehicles[e, 0], out.mask[e, 0] = spec.virtual, 1
+    out.counts[e, 0], out.counts[e, 1] = count, count - kept
+    for column in range(len(spec.ego_columns)):
+        value = ego_value(s, view, ego, spec.ego_columns[column], spec.rules[LANE])
+        value = (value - spec.ego_center[column]) / spec.ego_half[column]
+        if value > 1.0 or value < -1.0:
+            value = copysign(1.0, value)
+        out.ego[e, column] = np.float32(value)
+    return next_id

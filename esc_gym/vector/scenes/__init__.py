@@ -1,0 +1,1 @@
+"""What each scenario family adds to the engine: how a scene begins, what is rewarded, its end."""

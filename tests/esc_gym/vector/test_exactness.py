@@ -1,0 +1,68 @@
+"""Batches of all scenarios that the engine knows, against stock environments."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.esc_gym.vector.stock import compare, resets
+
+FEW = {"vehicles_count": 12, "duration": 6}
+
+
+def test_highway_fast_over_resets():
+    seeds = range(6)
+    expected = compare("esc_gym/highway-fast-v0", seeds=seeds, steps=60, threads=2)
+    assert sum(resets(expected)) >= 3 * len(seeds)
+
+
+CONFIGURATIONS = {
+    "one lane": {"lanes_count": 1},
+    "dense": {"vehicles_density": 2.5, "ego_spacing": 1},
+    "a given lane": {"initial_lane_id": 2},
+    "more steps": {"policy_frequency": 5, "simulation_frequency": 15},
+    "an end off the road": {"offroad_terminal": True, "action": {"type": "ContinuousAction"}},
+    "other rewards": {
+        "normalize_reward": False, "collision_reward": -5, "reward_speed_range": [15, 28],
+        "on_road_reward": 0.5, "right_lane_reward": 0,
+    },
+    "connected lanes": {"neighbour_vehicles_connected_lanes": True},
+    "only speeds": {"action": {"type": "DiscreteMetaAction", "lateral": False}},
+    "other speeds": {"action": {"type": "DiscreteMetaAction", "target_speeds": [10, 15, 20, 25]}},
+    "nobody else": {"vehicles_count": 0},
+    "throttle": {"action": {"type": "ContinuousAction", "lateral": False}},
+    "steering": {"action": {"type": "ContinuousAction", "longitudinal": False}},
+    "dynamical": {"action": {"type": "ContinuousAction", "dynamical": True}},
+    "limited": {"action": {"type": "ContinuousAction", "speed_range": [5, 12]}},
+    "discrete": {"action": {"type": "DiscreteAction", "actions_per_axis": 4}},
+    "aggressive": {"other_vehicles_type": "highway_env.vehicle.behavior.AggressiveVehicle"},
+    "defensive": {"other_vehicles_type": "highway_env.vehicle.behavior.DefensiveVehicle"},
+    "linear": {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+def test_configurations_of_the_highway(name):
+    expected = compare(
+        "esc_gym/highway-v0", {**FEW, **CONFIGURATIONS[name]}, seeds=range(3), steps=16
+    )
+    assert sum(resets(expected)) > 3
+
+
+OBSERVATIONS = {
+    "shuffled": {"order": "shuffled"},
+    "nearest first": {"order": "distance", "max_vehicles": 4},
+    "too few rows": {"max_vehicles": 3, "order": "shuffled"},
+    "body frame": {"frame": "ego"},
+    "near": {"perception_distance": 30.0, "empty": "virtual"},
+    "ranges": {"ranges": {"x": (-50, 80), "speed": (10, 20)}},
+    "columns": {
+        "features": ["vy", "x", "cos_d", "sin_d", "width", "length"],
+        "ego_features": ["yaw_rate", "dest_x", "dest_y", "target_speed", "lateral_speed"],
+    },
+}
+
+
+@pytest.mark.filterwarnings("ignore:.*max_vehicles")
+@pytest.mark.parametrize("name", OBSERVATIONS)
+def test_observations(name):
+    compare("esc_gym/highway-v0", FEW, seeds=range(2), steps=10, **OBSERVATIONS[name])
