@@ -81,7 +81,7 @@ class Simulation:
 
     def _start(self) -> None:
         self._network: Network | None = None
-        self._tables = [np.empty((0, 0))] * 3
+        self._tables: Any = (np.empty((0, 0)),)
         self.forget()
 
     def forget(self) -> None:
@@ -171,7 +171,7 @@ class Simulation:
         traffic, network = self._traffic, self._network
         shape = (len(network.lanes), len(traffic.items))
         if self._tables[0].shape != shape:
-            self._tables = [np.empty(shape) for _ in range(3)]
+            self._tables = kernel.tables(*shape)
         rules_every, patience = 0, 0.0
         if self._regulated:
             rules_every = int(1 / dt / road.REGULATION_FREQUENCY)
@@ -190,9 +190,9 @@ class Simulation:
         links = network.links(bool(road.neighbour_vehicles_connected_lanes))
         while True:
             waiting = kernel.run(
-                traffic.records[None], counts, traffic.routes[None], progress, network.records,
+                traffic.records[None], counts, traffic.routes[None], network.records,
                 *self._tables, *links, network.exits, network.poses, network.widths, samples,
-                numerics, 0, 1, frames, dt, rules_every, patience,
+                numerics, progress, 0, 1, frames, dt, rules_every, patience,
             )  # fmt: skip
             if waiting == kernel.NOT_FINITE:
                 raise Unknown("a vehicle with NaN or infinite state")

@@ -110,6 +110,7 @@ def advance(s, ego, progress, frames, dt, rules_every, road_steps, patience):
                 return NOT_FINITE
         for i in range(s.m):
             locate(s, i)
+        s.ranked[:] = -1
     if progress[COMMAND] != NOTHING:
         waiting = obey(s, ego, progress)
         if waiting != DONE:
@@ -124,14 +125,31 @@ def advance(s, ego, progress, frames, dt, rules_every, road_steps, patience):
             enforce_road_rules(s, patience)
         for i in range(s.n):
             step(s, i, dt)
+        s.ranked[:] = -1
         collide_all(s, dt)
     return DONE
 
 
+@compiled
+def scene_of(
+    e, vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
+    link_offset, exits, poses, widths, samples, numerics
+):  # fmt: skip
+    """The scene of environment e."""
+    return Scene(
+        borrowed(vehicles[e]), borrowed(lanes), borrowed(lon), borrowed(lat), borrowed(seats),
+        borrowed(ranks), borrowed(ranked), borrowed(link_start), borrowed(link_lane),
+        borrowed(link_offset), borrowed(exits), borrowed(poses), borrowed(widths),
+        borrowed(routes[e]), borrowed(samples), counts[e, VEHICLES], counts[e, ITEMS],
+        unpack(numerics),
+    )  # fmt: skip
+
+
 @cached
 def run(
-    vehicles, counts, routes, progress, lanes, lon, lat, seats, link_start, link_lane, link_offset,
-    exits, poses, widths, samples, numerics, first, last, frames, dt, rules_every, patience
+    vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
+    link_offset, exits, poses, widths, samples, numerics,
+    progress, first, last, frames, dt, rules_every, patience
 ):  # fmt: skip
     """Sub-steps of the environments ``first`` to ``last`` - 1, until ``frames`` are done (DONE).
 
@@ -147,11 +165,9 @@ def run(
     for e in range(first, last):
         if progress[e, FRAME] >= frames:
             continue
-        s = Scene(
-            borrowed(vehicles[e]), borrowed(lanes), borrowed(lon), borrowed(lat), borrowed(seats),
-            borrowed(link_start), borrowed(link_lane), borrowed(link_offset), borrowed(exits),
-            borrowed(poses), borrowed(widths), borrowed(routes[e]), borrowed(samples),
-            counts[e, VEHICLES], counts[e, ITEMS], unpack(numerics),
+        s = scene_of(
+            e, vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start,
+            link_lane, link_offset, exits, poses, widths, samples, numerics,
         )  # fmt: skip
         waiting = advance(
             s, counts[e, EGO], borrowed(progress[e]), frames, dt, rules_every,
@@ -162,15 +178,22 @@ def run(
     return DONE
 
 
+def tables(lanes: int, items: int) -> tuple[np.ndarray, ...]:
+    """Room for lon, lat, seats, ranks and ranked of one scene at a time."""
+    shape = lanes, items
+    return (*np.empty((3, *shape)), np.empty(shape, np.int64), np.empty(lanes, np.int64))
+
+
 def run_nothing() -> None:
     """One call of ``run`` on an empty road, to have it compiled or loaded."""
-    integers, numbers, table = np.zeros(1, np.int64), np.zeros(1), np.zeros((1, 0))
+    integers, numbers = np.zeros(1, np.int64), np.zeros(1)
     run(
         np.zeros((1, 1), VEHICLE), np.zeros((1, EGO + 1), np.int64),
-        np.zeros((1, 1, 1, 2), np.int64), np.zeros((1, COMMAND + 1), np.int64),
-        np.zeros(1, LANE), table, table, table, np.zeros(2, np.int64), integers, numbers, integers,
+        np.zeros((1, 1, 1, 2), np.int64), np.zeros(1, LANE), *tables(1, 0),
+        np.zeros(2, np.int64), integers, numbers, integers,
         np.zeros((1, len(POSE_COLUMNS))), numbers, np.zeros((1, SAMPLE_COLUMNS)),
-        np.zeros(len(Numerics._fields), np.int64), 0, 1, 0, 0.1, 0, 0.0,
+        np.zeros(len(Numerics._fields), np.int64), np.zeros((1, COMMAND + 1), np.int64),
+        0, 1, 0, 0.1, 0, 0.0,
     )  # fmt: skip
 
 

@@ -112,6 +112,8 @@ class Scene(NamedTuple):
     vehicles: VEHICLE [m + 1]; the last one is scratch. lanes: LANE [L].
     lon, lat: [L, m] coordinates of everyone on every lane; lon is NaN where nobody asked for it
     yet. seats [L, m]: lon of those who stand on the lane and can be somebody's neighbour, else NaN.
+    ranks [L, m], ranked [L]: who has a seat on a lane, from behind to ahead, and how many they are;
+    -1 where nobody asked for it yet.
     link_start [L + 1], link_lane, link_offset: the lanes searched for neighbours of a lane, itself
     first. exits: first lanes of the roads that start where a lane ends, all lanes' together.
     poses [P, 8], widths [W]: splines of all lanes. routes [m, R, 2]: first lane of a road or
@@ -123,6 +125,8 @@ class Scene(NamedTuple):
     lon: np.ndarray
     lat: np.ndarray
     seats: np.ndarray
+    ranks: np.ndarray
+    ranked: np.ndarray
     link_start: np.ndarray
     link_lane: np.ndarray
     link_offset: np.ndarray

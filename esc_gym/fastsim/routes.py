@@ -64,12 +64,10 @@ def leaves_network(s, vehicle, i, k):
 
 
 @outlined
-def follow_road(s, i):
-    """``ControlledVehicle.follow_road``."""
+def go_on(s, i):
+    """``ControlledVehicle.follow_road`` of a vehicle at the end of its lane."""
     vehicle = s.vehicles[i]
     k = vehicle.target_lane
-    if not after_end(s, k, i):
-        return FOLLOWED
     if s.lanes[k].kind == SPLINE or leaves_network(s, vehicle, i, k):
         return ASK_PYTHON
     road, lane = planned_road(s, vehicle, i, k)
@@ -86,3 +84,11 @@ def follow_road(s, i):
         vehicle.target_lane = target
         vehicle.changed |= TARGET_CHANGED
     return FOLLOWED
+
+
+@compiled
+def follow_road(s, i):
+    """``ControlledVehicle.follow_road``; mostly there is nothing to do, and no call is made."""
+    if not after_end(s, s.vehicles[i].target_lane, i):
+        return FOLLOWED
+    return go_on(s, i)

@@ -149,7 +149,7 @@ class Engine:
         threads = min(threads, self.count)
         network, numerics = self.network, machine()[1]
         edges = np.linspace(0, self.count, threads + 1).astype(int).tolist()
-        shape = (3, len(network.lanes), self.state.vehicles.shape[1] - 1)
+        items = self.state.vehicles.shape[1] - 1
         roads = (
             network.exits,
             network.poses,
@@ -161,13 +161,14 @@ class Engine:
         state = self.state
         self._shares = []
         for first, last in pairwise(edges):
-            scratch = tuple(np.empty(shape))
-            scene = network.records, *scratch, *links, *roads
-            run = state.vehicles, state.counts, state.routes, self.progress, *scene
+            tables = kernel.tables(len(network.lanes), items)
+            scene = network.records, *tables, *links, *roads
+            scenes = state.vehicles, state.counts, state.routes, *scene
+            run = *scenes, self.progress
             settle = (
-                *(state.vehicles, state.counts, state.routes, state.ids, state.heads),
-                *(state.generators, self.template, *scene, self.constants, *self.spec),
-                *(*self.now.arrays(), *self.final.arrays(), self.rewards, self.ends),
+                *(*scenes, state.ids, state.heads, state.generators, self.template),
+                *(self.constants, *self.spec, *self.now.arrays(), *self.final.arrays()),
+                *(self.rewards, self.ends),
             )
             self._shares.append((first, last, run, settle))
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None

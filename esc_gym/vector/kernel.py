@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from esc_gym.fastsim.cache import cached
-from esc_gym.fastsim.kernel import COMMAND, EGO, FRAME, ITEMS, VEHICLES, unpack
-from esc_gym.fastsim.numerics import borrowed, compiled
-from esc_gym.fastsim.records import MDP, NOTHING, Scene
+from esc_gym.fastsim.kernel import COMMAND, EGO, FRAME, scene_of
+from esc_gym.fastsim.numerics import compiled
+from esc_gym.fastsim.records import MDP, NOTHING
 from esc_gym.vector.observe import Output, Spec, observe
 from esc_gym.vector.state import ROAD, SHUFFLE
 
@@ -84,8 +84,9 @@ def settling(reset: Any, judge: Any) -> Any:
 
     @compiled
     def settle_all(
-        vehicles, counts, routes, ids, heads, generators, template, lanes, lon, lat, seats,
-        link_start, link_lane, link_offset, exits, poses, widths, samples, numerics, constants,
+        vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
+        link_offset, exits, poses, widths, samples, numerics,
+        ids, heads, generators, template, constants,
         reach, rules, columns, center, half, ego_columns, ego_center, ego_half, virtual,
         out_ego, out_vehicles, out_mask, out_ids, out_counts, speed, crashed, parts,
         end_ego, end_vehicles, end_mask, end_ids, end_counts, end_speed, end_crashed, end_parts,
@@ -99,11 +100,9 @@ def settling(reset: Any, judge: Any) -> Any:
         final = Output(end_ego, end_vehicles, end_mask, end_ids, end_counts)
         final_told = Told(end_speed, end_crashed, end_parts)
         for e in range(first, last):
-            s = Scene(
-                borrowed(vehicles[e]), borrowed(lanes), borrowed(lon), borrowed(lat),
-                borrowed(seats), borrowed(link_start), borrowed(link_lane), borrowed(link_offset),
-                borrowed(exits), borrowed(poses), borrowed(widths), borrowed(routes[e]),
-                borrowed(samples), counts[e, VEHICLES], counts[e, ITEMS], unpack(numerics),
+            s = scene_of(
+                e, vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start,
+                link_lane, link_offset, exits, poses, widths, samples, numerics,
             )  # fmt: skip
             head, ego = heads[e], counts[e, EGO]
             begin = head.over == RESET or (period > 0.0 and head.over != 0)
