@@ -92,16 +92,23 @@ def push(vehicle, x, y):
     vehicle.changed |= IMPACT
 
 
+@compiled
+def reaches(one, other, dt):
+    """Can the two touch within the distance that highway-env looks at? i's number is the lower."""
+    if not (one.checks_collisions or other.checks_collisions):
+        return False
+    reach = (one.diagonal + other.diagonal) / 2 + one.speed * dt + MARGIN
+    return abs(other.x - one.x) <= reach and abs(other.y - one.y) <= reach
+
+
 @outlined
-def collide_near(s, i, j, dt, reach, a, b):
+def collide_near(s, i, j, dt, a, b):
     """``RoadObject.handle_collisions`` of two that are near; a, b: scratch for their corners."""
     one, other = s.vehicles[i], s.vehicles[j]
-    if not (one.checks_collisions or other.checks_collisions):
-        return
     if not (one.collidable and other.collidable):
         return
     dx, dy = other.x - one.x, other.y - one.y
-    if sqrt(dot(s.np.dot, dx, dy, dx, dy)) > reach:
+    if sqrt(dot(s.np.dot, dx, dy, dx, dy)) > (one.diagonal + other.diagonal) / 2 + one.speed * dt:
         return
     rectangle(s.np, one.x, one.y, one.length, one.width, one.cos, one.sin, a)
     rectangle(s.np, other.x, other.y, other.length, other.width, other.cos, other.sin, b)
@@ -127,25 +134,67 @@ def collide_near(s, i, j, dt, reach, a, b):
         other.changed |= HIT
 
 
+@compiled
+def sort_by_x(s, by_x):
+    """Sort the numbers in ``by_x`` [m], which are nearly so since the last sub-step."""
+    for place in range(1, s.m):
+        i = by_x[place]
+        x = s.vehicles[i].x
+        while place > 0 and s.vehicles[by_x[place - 1]].x > x:
+            by_x[place] = by_x[place - 1]
+            place -= 1
+        by_x[place] = i
+
+
+@compiled
+def find_pairs(s, dt, by_x, pairs):
+    """Pairs that may touch, as i * m + j, into ``pairs`` in the order of the list; their number.
+
+    More than there is room for: not all of them are there.
+    """
+    sort_by_x(s, by_x)
+    widest = fastest = 0.0
+    for i in range(s.m):
+        widest = max(widest, s.vehicles[i].diagonal)
+        fastest = max(fastest, s.vehicles[i].speed)
+    furthest, found = widest + fastest * dt + MARGIN, 0
+    for place in range(s.m):
+        i = by_x[place]
+        limit = s.vehicles[i].x + furthest
+        for next_place in range(place + 1, s.m):
+            j = by_x[next_place]
+            if s.vehicles[j].x > limit:
+                break
+            one, other = min(i, j), max(i, j)
+            if one < s.n and reaches(s.vehicles[one], s.vehicles[other], dt):
+                at = found
+                found += 1
+                if found > len(pairs):
+                    return found
+                pair = one * s.m + other
+                while at > 0 and pairs[at - 1] > pair:
+                    pairs[at] = pairs[at - 1]
+                    at -= 1
+                pairs[at] = pair
+    return found
+
+
 @merged
-def collide_all(s, dt):
-    """The second half of ``Road.step``: every pair of vehicles, then the objects, in order."""
-    a, b, xs = np.empty((5, 2)), np.empty((5, 2)), np.empty(s.m)
-    widest = 0.0
-    for j in range(s.m):
-        xs[j] = s.vehicles[j].x
-        widest = max(widest, s.vehicles[j].diagonal)
+def collide_all(s, dt, by_x, pairs):
+    """The second half of ``Road.step``: every pair of vehicles, then the objects, in order.
+
+    by_x [m]: the numbers of all, as the last call left them. pairs: scratch.
+    """
+    a, b = np.empty((5, 2)), np.empty((5, 2))
+    found = find_pairs(s, dt, by_x, pairs)
+    if found <= len(pairs):
+        for pair in range(found):
+            collide_near(s, pairs[pair] // s.m, pairs[pair] % s.m, dt, a, b)
+        return
     for i in range(s.n):
-        one = s.vehicles[i]
-        x, y, ahead = one.x, one.y, one.speed * dt
-        bound = (one.diagonal + widest) / 2 + ahead + MARGIN
         for j in range(i + 1, s.m):
-            if abs(xs[j] - x) > bound:  # most pairs end here
-                continue
-            other = s.vehicles[j]
-            reach = (one.diagonal + other.diagonal) / 2 + ahead
-            if abs(other.x - x) <= reach + MARGIN and abs(other.y - y) <= reach + MARGIN:
-                collide_near(s, i, j, dt, reach, a, b)
+            if reaches(s.vehicles[i], s.vehicles[j], dt):
+                collide_near(s, i, j, dt, a, b)
 
 
 @compiled

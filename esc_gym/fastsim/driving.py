@@ -23,6 +23,7 @@ from esc_gym.fastsim.numerics import (
     not_zero,
     outlined,
     power,
+    square,
     tan,
     wrap_to_pi,
 )
@@ -151,7 +152,7 @@ def idm_acceleration(s, me, ego, front, free):
     if front == NOBODY or ego == NOBODY or ego >= s.n:
         return free
     gap = desired_gap(s, me, ego, front) / not_zero(lane_distance(s, ego, front))
-    return free - s.vehicles[me].comfort_max * power(s.np, gap, 2.0)
+    return free - s.vehicles[me].comfort_max * square(s.np, gap)
 
 
 @compiled
@@ -195,15 +196,18 @@ def sign(x):
 
 
 @outlined
-def mobil(s, i, k):
-    """``IDMVehicle.mobil``: is changing to lane ``k`` safe and worth it?"""
+def mobil(s, i, k, old_front, old_rear, free, mine_before):
+    """``IDMVehicle.mobil``: is changing to lane ``k`` safe and worth it?
+
+    old_front, old_rear: neighbours on the present lane; free, mine_before: ``free_acceleration``
+    and ``acceleration`` there.
+    """
     driver = s.vehicles[i]
     new_front, new_rear = neighbours(s, i, k)
     new_rear_free = free_acceleration(s, i, new_rear)
     new_rear_after = acceleration(s, i, new_rear, i, new_rear_free)
     if new_rear_after < -driver.max_braking:
         return False
-    free = free_acceleration(s, i, i)
     mine_after = acceleration(s, i, i, new_front, free)
     planned = s.routes[i, driver.route_taken, 1] if driver.route_length > 0 else NO_LANE
     if planned != NO_LANE:
@@ -211,13 +215,13 @@ def mobil(s, i, k):
         if sign(s.lanes[k].id - target) != sign(planned - target):
             return False
         return not mine_after < -driver.max_braking
-    old_front, old_rear = neighbours(s, i, driver.lane)
-    new_rear_before = acceleration(s, i, new_rear, new_front, new_rear_free)
-    mine_before = acceleration(s, i, i, old_front, free)
-    old_rear_free = free_acceleration(s, i, old_rear)
-    old_rear_before = acceleration(s, i, old_rear, i, old_rear_free)
-    old_rear_after = acceleration(s, i, old_rear, old_front, old_rear_free)
-    others = new_rear_after - new_rear_before + old_rear_after - old_rear_before
+    others = 0.0
+    if driver.politeness != 0.0:  # nobody else counts then, and adding zero changes nothing
+        new_rear_before = acceleration(s, i, new_rear, new_front, new_rear_free)
+        old_rear_free = free_acceleration(s, i, old_rear)
+        old_rear_before = acceleration(s, i, old_rear, i, old_rear_free)
+        old_rear_after = acceleration(s, i, old_rear, old_front, old_rear_free)
+        others = new_rear_after - new_rear_before + old_rear_after - old_rear_before
     return not mine_after - mine_before + driver.politeness * others < driver.min_gain
 
 
@@ -259,8 +263,8 @@ def give_way(s, i):
 
 
 @merged
-def change_lane_policy(s, i):
-    """``IDMVehicle.change_lane_policy``."""
+def change_lane_policy(s, i, front, rear, free, command):
+    """``IDMVehicle.change_lane_policy``; the rest as of ``mobil``, on the present lane."""
     driver = s.vehicles[i]
     if driver.lane != driver.target_lane:
         give_way(s, i)
@@ -274,7 +278,8 @@ def change_lane_policy(s, i):
         if other < 0 or other >= s.lanes[lane].count:
             continue
         k = lane + side
-        if is_reachable(s, k, i) and abs(driver.speed) >= 1 and mobil(s, i, k):
+        reachable = is_reachable(s, k, i) and abs(driver.speed) >= 1
+        if reachable and mobil(s, i, k, front, rear, free, command):
             set_target(driver, k)
 
 
@@ -333,14 +338,17 @@ def collect(s, i, sample):
 
 @merged
 def drive_idm(s, i):
-    """``IDMVehicle.act`` after following the road; also of linear drivers."""
+    """``IDMVehicle.act`` after following the road; also of linear drivers.
+
+    What a driver sees on the present lane is looked up once: nothing that is decided changes it.
+    """
     driver = s.vehicles[i]
-    if driver.changes_lanes:
-        change_lane_policy(s, i)
-    driver.steering = linear_steering(s, i) if driver.kind == LINEAR else pursuit_steering(s, i)
-    front, _ = neighbours(s, i, driver.lane)
+    front, rear = neighbours(s, i, driver.lane)
     free = free_acceleration(s, i, i)
     command = acceleration(s, i, i, front, free)
+    if driver.changes_lanes:
+        change_lane_policy(s, i, front, rear, free, command)
+    driver.steering = linear_steering(s, i) if driver.kind == LINEAR else pursuit_steering(s, i)
     if driver.lane != driver.target_lane:
         front, _ = neighbours(s, i, driver.target_lane)
         command = min(command, acceleration(s, i, i, front, free))

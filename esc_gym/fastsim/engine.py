@@ -195,7 +195,7 @@ class Simulation:
                 numerics, progress, 0, 1, frames, dt, rules_every, patience,
             )  # fmt: skip
             if waiting == kernel.NOT_FINITE:
-                raise Unknown("a vehicle with NaN or infinite state")
+                raise Unknown("a vehicle with NaN, infinite or enormous state")
             if waiting == kernel.DONE:
                 break
             traffic.follow_road(waiting)

@@ -28,11 +28,13 @@ from esc_gym.fastsim.numerics import (
     merged,
     power,
     sin,
+    square,
     tan,
     wrap_to_pi,
 )
 from esc_gym.fastsim.records import (
     LANE,
+    LARGEST,
     LINEAR,
     NOTHING,
     POSE_COLUMNS,
@@ -56,7 +58,7 @@ VEHICLES, ITEMS, ROAD_STEPS, EGO = range(4)
 def unpack(n):
     """``Numerics`` of the integers that Python passes: a tuple would have to be typed each call."""
     return Numerics(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], n[10], n[11],
-                    n[12], n[13], n[14], n[15], n[16], n[17], n[18], n[19])  # fmt: skip
+                    n[12], n[13], n[14], n[15], n[16], n[17], n[18], n[19], n[20])  # fmt: skip
 
 
 @merged
@@ -95,10 +97,11 @@ def act_all(s, progress):
 
 @compiled
 def is_finite(v):
-    """No state of a vehicle is NaN or infinite: their sum would be, too."""
-    total = v.x + v.y + v.heading + v.speed + v.steering + v.acceleration + v.target_speed
-    total += v.timer + v.impact_x + v.impact_y + v.lateral_speed + v.yaw_rate
-    return np.isfinite(total)
+    """No state of a vehicle is NaN or so large that a product of some could be infinite."""
+    total = abs(v.x) + abs(v.y) + abs(v.heading) + abs(v.speed) + abs(v.steering)
+    total += abs(v.acceleration) + abs(v.target_speed) + abs(v.timer) + abs(v.impact_x)
+    total += abs(v.impact_y) + abs(v.lateral_speed) + abs(v.yaw_rate)
+    return total < LARGEST
 
 
 @merged
@@ -115,6 +118,7 @@ def advance(s, ego, progress, frames, dt, rules_every, road_steps, patience):
         waiting = obey(s, ego, progress)
         if waiting != DONE:
             return waiting
+    by_x, pairs = np.arange(s.m), np.empty(4 * s.m, np.int64)
     while progress[FRAME] < frames:
         waiting = act_all(s, progress)
         if waiting != DONE:
@@ -126,7 +130,7 @@ def advance(s, ego, progress, frames, dt, rules_every, road_steps, patience):
         for i in range(s.n):
             step(s, i, dt)
         s.ranked[:] = -1
-        collide_all(s, dt)
+        collide_all(s, dt, by_x, pairs)
     return DONE
 
 
@@ -212,7 +216,7 @@ def check(numerics, inputs, outputs):
         out[4] = arctan(np_, x)
         out[5] = arctan2(np_, x, y)
         out[6] = power(np_, abs(y), exponent)
-        out[7] = power(np_, x, 2.0)
+        out[7] = square(np_, x)
         out[8] = libm(np_.libm_pow, x, 2.0)
         out[9], out[10] = libm_of(np_.libm_sin, angle), libm_of(np_.libm_cos, angle)
         out[11] = wrap_to_pi(x)

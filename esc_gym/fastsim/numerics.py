@@ -173,6 +173,12 @@ def power(np_, x, exponent):
 
 
 @compiled
+def square(np_, x):
+    """``np.power(x, 2)``, which newer NumPys multiply."""
+    return x * x if np_.multiplies else binary(np_.power, np_.power_data, x, 2.0)
+
+
+@compiled
 def dot(rounding, a0, a1, b0, b1):
     """a0*b0 + a1*b1 as BLAS rounds it; BLAS adds to +0.0, which makes -0.0 positive."""
     if rounding == FUSED_SECOND:
@@ -232,7 +238,10 @@ def _loops() -> dict[str, int]:
     loops = {}
     for name in FUNCTIONS:
         loops[name], loops[f"{name}_data"] = loop_address(getattr(np, name))
-    return {**loops, **{f"libm_{name}": _libm(name) for name in ("pow", "sin", "cos")}}
+    numbers = np.random.default_rng(1).uniform(-100.0, 100.0, 5000)
+    multiplies = all(np.power(number, 2) == number * number for number in numbers)
+    libm = {f"libm_{name}": _libm(name) for name in ("pow", "sin", "cos")}
+    return {**loops, **libm, "multiplies": int(multiplies)}
 
 
 def measure(check: Any, count: int = 600) -> tuple[Numerics | None, str]:

@@ -39,6 +39,9 @@ TRAIT_INTS = (
 )  # fmt: skip
 DERIVED = ("cos", "sin")
 
+# States and parameters beyond this are left to stock code: no product of those below is infinite.
+LARGEST, LARGEST_DELTA = 1e9, 20.0
+
 # In routes: a road that is not in the network, and a lane that the route leaves open.
 NO_ROAD, NO_LANE = -1, -(1 << 40)
 
@@ -81,7 +84,8 @@ class Numerics(NamedTuple):
     """How this machine's NumPy computes: its inner loops, and the rounding of its products.
 
     ``<function>``, ``<function>_data``: address of NumPy's loop and of its data, as integers.
-    dot, matrix_vector, matrix_matrix: how a0*b0 + a1*b1 is rounded there (see numerics.py).
+    multiplies: whether it squares by a product. dot, matrix_vector, matrix_matrix: how
+    a0*b0 + a1*b1 is rounded there (see numerics.py).
     """
 
     sin: int
@@ -101,6 +105,7 @@ class Numerics(NamedTuple):
     libm_pow: int
     libm_sin: int
     libm_cos: int
+    multiplies: int
     dot: int
     matrix_vector: int
     matrix_matrix: int

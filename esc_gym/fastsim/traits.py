@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache, lru_cache
-from math import isfinite
 from operator import attrgetter, itemgetter
 from typing import Any
 
@@ -13,6 +12,8 @@ from esc_gym.fastsim.records import (
     CONTROLLED,
     IDM,
     LANDMARK,
+    LARGEST,
+    LARGEST_DELTA,
     LINEAR,
     MDP,
     OBSTACLE,
@@ -22,6 +23,7 @@ from esc_gym.fastsim.records import (
 )
 
 ACC_MAX = TRAIT_FLOATS.index("acc_max")  # comfort_max and comfort_min follow
+DELTA = TRAIT_FLOATS.index("delta")
 DRIVERS = (CONTROLLED, MDP, IDM)
 NO_ROUTE: list[Any] = []
 
@@ -79,8 +81,8 @@ def trait_record(kind: int, found: tuple[Any, ...]) -> tuple[Any, ...]:
     """What is packed into a record for the attributes of a vehicle or object."""
     values = _ARRANGE[kind]((*found, kind, 0))
     floats, flags = values[: len(TRAIT_FLOATS)], values[len(TRAIT_FLOATS) + 1 : -1]
-    if not isfinite(sum(floats)):
-        raise Unknown("a vehicle with NaN or infinite parameters")
+    if not sum(map(abs, floats)) < LARGEST or not 0 <= floats[DELTA] <= LARGEST_DELTA:
+        raise Unknown("a vehicle with NaN, infinite or enormous parameters")
     if kind in (IDM, LINEAR):
         _, comfort_max, comfort_min = floats[ACC_MAX : ACC_MAX + 3]
         if not comfort_max * comfort_min < 0:

@@ -218,7 +218,7 @@ class Engine:
         )  # fmt: skip
         found = kernel.run(*run, first, last, self.frames, self.dt, 0, 0.0)
         if found == kernel.NOT_FINITE:
-            raise ValueError("a vehicle with NaN or infinite state")
+            raise ValueError("a vehicle with NaN, infinite or enormous state")
         if found != kernel.DONE:
             raise Unknown("a route that leads elsewhere")
         self._settle(share, self.period)
