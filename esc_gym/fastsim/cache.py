@@ -89,7 +89,7 @@ def warm(first_calls: Callable[[], Any]) -> Any:
     with _locked(directory):
         if directory is None or not any(directory.rglob("*.nbi")):
             place = f"kept in {directory}" if directory else "kept by this process only"
-            sys.stderr.write(f"esc_gym: compiling the simulation, about half a minute, {place}\n")
+            sys.stderr.write(f"esc_gym: compiling the simulation, about a minute, {place}\n")
         try:
             return first_calls()
         except Exception:

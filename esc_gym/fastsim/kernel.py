@@ -14,6 +14,7 @@ from esc_gym.fastsim.collisions import collide_all, corner_offsets, rectangle
 from esc_gym.fastsim.driving import acts, change_lane, collect, drive
 from esc_gym.fastsim.geometry import locate
 from esc_gym.fastsim.motion import step
+from esc_gym.fastsim.neighbours import forget_ranks
 from esc_gym.fastsim.numerics import (
     arcsin,
     arctan,
@@ -113,7 +114,7 @@ def advance(s, ego, progress, frames, dt, rules_every, road_steps, patience):
                 return NOT_FINITE
         for i in range(s.m):
             locate(s, i)
-        s.ranked[:] = -1
+        forget_ranks(s)
     if progress[COMMAND] != NOTHING:
         waiting = obey(s, ego, progress)
         if waiting != DONE:
@@ -129,7 +130,7 @@ def advance(s, ego, progress, frames, dt, rules_every, road_steps, patience):
             enforce_road_rules(s, patience)
         for i in range(s.n):
             step(s, i, dt)
-        s.ranked[:] = -1
+        forget_ranks(s)
         collide_all(s, dt, by_x, pairs)
     return DONE
 

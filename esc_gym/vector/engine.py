@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium.utils import seeding
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import ContinuousAction, DiscreteAction
+from highway_env.envs.common.action import ContinuousAction, DiscreteAction, DiscreteMetaAction
 from highway_env.vehicle.behavior import (
     AggressiveVehicle,
     DefensiveVehicle,
@@ -34,11 +34,12 @@ from esc_gym.fastsim.traffic import Traffic
 from esc_gym.vector import observe
 from esc_gym.vector.actions import Actions
 from esc_gym.vector.generators import generator, row
-from esc_gym.vector.kernel import RESET, Told, decide
-from esc_gym.vector.scenes import highway
+from esc_gym.vector.kernel import RUNNING, Told, decide, observe_all
+from esc_gym.vector.scenes import exits, highway, merge, roundabout, two_way, u_turn
+from esc_gym.vector.scenes.roads import ROUTE_LENGTH, Plans, behavior_ranges
 from esc_gym.vector.state import ROAD, SHUFFLE, State
 
-FAMILIES = (highway,)
+FAMILIES = (highway, exits, merge, roundabout, two_way, u_turn)
 DRIVERS = (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle)
 # What of highway-env all families repeat, besides the sub-steps.
 REPEATED = known.Repeated(
@@ -72,6 +73,10 @@ def family_of(base: Any) -> tuple[Any, str]:
         return None, "manual control, or trajectories that are shown"
     if base.config["simulation_frequency"] < base.config["policy_frequency"]:
         return None, "policy steps that are shorter than sub-steps"
+    if getattr(family, "META_ONLY", False) and not isinstance(base.action_type, DiscreteMetaAction):
+        return None, "actions that are no meta-actions"
+    if capacity_of(family, base) > 1 and len(base.road.vehicles) < 2:
+        return None, "no traffic to read the drivers off"
     reason = (
         Actions.unknown(base.action_type)
         or observe.unknown(base.observation_type)
@@ -80,13 +85,10 @@ def family_of(base: Any) -> tuple[Any, str]:
     return (None, reason) if reason else (family, "")
 
 
-def behavior_ranges(driver: Any) -> np.ndarray:
-    """[6, 2]: what ``randomize_behavior`` draws from: delta, and linear parameters (else zero)."""
-    ranges = np.zeros((6, 2))
-    ranges[0] = driver.DELTA_RANGE
-    if issubclass(driver, LinearVehicle):
-        ranges[1:4], ranges[4:] = driver.ACCELERATION_RANGE.T, driver.STEERING_RANGE.T
-    return ranges
+def capacity_of(family: Any, base: Any) -> int:
+    """The most vehicles that there can be on the road."""
+    count = getattr(family, "capacity", None)
+    return count(base) if count else len(base.road.vehicles)
 
 
 class Outputs:
@@ -103,8 +105,10 @@ class Outputs:
         )
         self.told = Told(np.zeros(count), np.zeros(count, np.bool_), np.zeros((count, rewards)))
 
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        return (*self.seen, *self.told)
+    def take(self, other: Outputs, first: int, last: int) -> None:
+        """Copy what ``other`` holds of some environments."""
+        for mine, theirs in zip((*self.seen, *self.told), (*other.seen, *other.told), strict=True):
+            mine[first:last] = theirs[first:last]
 
 
 class Engine:
@@ -124,11 +128,11 @@ class Engine:
         network, traffic = Network(base.road.network), Traffic()
         traffic.gather(base.road, network, bool(known.is_regulated(type(base.road))))
         self.network = network
-        self.template = traffic.records.copy()
-        self.template["collects"] = 0
-        self.state = State.empty(count, len(traffic.items), traffic.routes.shape[1])
-        self.state.counts[:] = traffic.n, len(traffic.items), 0, traffic.controlled(base.vehicle)
-        self.state.routes[:] = traffic.routes
+        self.template = _template(traffic, capacity_of(family, base))
+        items, n = len(self.template) - 1, traffic.n
+        self.state = State.empty(count, items, ROUTE_LENGTH)
+        objects = len(traffic.items) - n
+        self.state.counts[:] = items - objects, items, 0, traffic.controlled(base.vehicle)
         self.state.generators[:, SHUFFLE] = row(np.random.default_rng())
         # Of reset(seed=...); None: never reset. The seed of a reset without one is drawn.
         self.seeds: list[int | None] = [None] * count
@@ -136,11 +140,16 @@ class Engine:
         self.frames = int(config["simulation_frequency"] // config["policy_frequency"])
         self.period, self.dt = 1 / config["policy_frequency"], 1 / config["simulation_frequency"]
         driver = utils.class_from_path(config["other_vehicles_type"])
-        self.constants = family.constants(base, behavior_ranges(driver))
-        self.spec = observe.spec_of(base.observation_type)
+        plans = Plans(base.road, network, getattr(family, "DESTINATIONS", ()))
+        self.constants = np.array(family.constants(base, network), float)
+        self.behavior = behavior_ranges(driver), plans.steps, plans.lengths
+        lane = family.lane(base, network) if hasattr(family, "lane") else -1
+        self.spec = observe.spec_of(base.observation_type, lane)
         self.now = Outputs(env.observation_space, count, len(family.REWARDS))
         self.final = Outputs(env.observation_space, count, len(family.REWARDS))
         self.rewards, self.ends = np.zeros(count), np.zeros((count, 2), np.bool_)
+        # Where the last step began a new episode in place of a step; and a mask of all.
+        self.begun, self.everywhere = np.zeros(count, bool), np.ones(count, bool)
         self.progress = np.zeros((count, kernel.COMMAND + 1), np.int64)
         self._prepare(threads, bool(config["neighbour_vehicles_connected_lanes"]))
 
@@ -164,13 +173,7 @@ class Engine:
             tables = kernel.tables(len(network.lanes), items)
             scene = network.records, *tables, *links, *roads
             scenes = state.vehicles, state.counts, state.routes, *scene
-            run = *scenes, self.progress
-            settle = (
-                *(*scenes, state.ids, state.heads, state.generators, self.template),
-                *(self.constants, *self.spec, *self.now.arrays(), *self.final.arrays()),
-                *(self.rewards, self.ends),
-            )
-            self._shares.append((first, last, run, settle))
+            self._shares.append((first, last, scenes))
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
     def generators(self) -> tuple[np.random.Generator, ...]:
@@ -200,29 +203,64 @@ class Engine:
             self.state.generators[e, ROAD], self.seeds[e] = row(generator_), seed
             if seeds[e] is not None:
                 self.state.generators[e, SHUFFLE] = row(np.random.default_rng([seed, 0x5E7]))
-        self.state.heads["over"][mask] = RESET
-        self._share_out(self._settle, 0.0)
+        self._share_out(self._begin, mask)
 
     def step(self, actions: Any) -> None:
         """One policy step of each environment. ValueError, and nothing is done, for bad actions."""
         taken = self.actions.taken(self.actions.checked(actions))
+        self.begun = self.state.heads["over"] != RUNNING
         self._share_out(self._step, taken)
 
     def _step(self, share: Any, taken: np.ndarray) -> None:
-        first, last, run, _ = share
-        state, actions = self.state, self.actions
+        first, last, scenes = share
+        state, actions, frames = self.state, self.actions, self.frames
         decide(
             state.vehicles, state.counts, state.heads, self.progress, taken, actions.commands,
             actions.speed_steps, actions.target_speeds, actions.controls,
-            actions.speed_range, first, last, self.frames,
+            actions.speed_range, first, last, frames,
         )  # fmt: skip
-        found = kernel.run(*run, first, last, self.frames, self.dt, 0, 0.0)
+        found = kernel.run(*scenes, self.progress, first, last, frames, self.dt, 0, 0.0)
         if found == kernel.NOT_FINITE:
             raise ValueError("a vehicle with NaN, infinite or enormous state")
         if found != kernel.DONE:
             raise Unknown("a route that leads elsewhere")
-        self._settle(share, self.period)
+        self.family.judge_all(
+            *scenes, state.heads, self.constants, self.now.told.rewards, self.rewards, self.ends,
+            taken, first, last, frames, self.period, self.limit,
+        )  # fmt: skip
+        ended: Any = self.ends.any(axis=1)
+        if self.same_step:
+            self._observe(share, self.everywhere, self.now)
+            if ended[first:last].any():
+                self.final.take(self.now, first, last)
+                self._begin(share, ended)
+            return
+        if self.begun[first:last].any():
+            self._begin(share, self.begun)
+        self._observe(share, ~self.begun, self.now)
 
-    def _settle(self, share: Any, period: float) -> None:
-        first, last, _, settle = share
-        self.family.settle(*settle, first, last, self.frames, period, self.limit, self.same_step)
+    def _begin(self, share: Any, chosen: np.ndarray) -> None:
+        first, last, scenes = share
+        state = self.state
+        self.family.begin_all(
+            *scenes, state.ids, state.heads, state.generators, self.template, self.constants,
+            *self.behavior, self.now.told.rewards, chosen, first, last,
+        )  # fmt: skip
+        self._observe(share, chosen, self.now)
+
+    def _observe(self, share: Any, chosen: np.ndarray, outputs: Outputs) -> None:
+        first, last, scenes = share
+        state, told = self.state, outputs.told
+        observe_all(
+            *scenes, state.ids, state.heads, state.generators, *self.spec, *outputs.seen,
+            told.speed, told.crashed, chosen, first, last,
+        )  # fmt: skip
+
+
+def _template(traffic: Traffic, capacity: int) -> np.ndarray:
+    """Records of a reset to begin with: of all vehicles, then the objects, then scratch."""
+    n, records = traffic.n, traffic.records
+    others = np.repeat(records[n - 1 : n], max(capacity - n, 0))
+    template = np.concatenate([records[: min(n, capacity)], others, records[n:]])
+    template["collects"] = 0
+    return template

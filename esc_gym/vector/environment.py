@@ -15,6 +15,7 @@ from gymnasium.vector.utils import batch_space
 
 from esc_gym import fastsim
 from esc_gym.registration import make
+from esc_gym.vector.arguments import at_least_one, index_of, mask_of, mode_of, seeds_of
 from esc_gym.vector.engine import Engine, family_of
 from esc_gym.vector.kernel import TERMINATED, TRUNCATED
 from esc_gym.vector.objects import materialise
@@ -88,9 +89,9 @@ class SetVectorEnv(VectorEnv):
         copy: bool = True,
         **set_observation: Any,
     ) -> None:
-        self.num_envs = _at_least_one("num_envs", num_envs)
-        threads = _at_least_one("threads", threads)
-        mode = self.autoreset_mode = _mode(autoreset_mode)
+        self.num_envs = at_least_one("num_envs", num_envs)
+        threads = at_least_one("threads", threads)
+        mode = self.autoreset_mode = mode_of(autoreset_mode)
         if render_mode == "human":
             raise ValueError("render_mode: expected None or 'rgb_array' for a batch, got 'human'.")
         self.render_mode, self.copy = render_mode, copy
@@ -150,11 +151,11 @@ class SetVectorEnv(VectorEnv):
         seed: environment i gets seed + i; or one seed for each; None: go on drawing.
         """
         options = dict(options or {})
-        seeds = _seeds(seed, self.num_envs)
+        seeds = seeds_of(seed, self.num_envs)
         if not self._engine:
             observation, infos = self._envs.reset(seed=seeds, options=options or None)
             return observation, self._told(infos)
-        mask = _mask(options.pop("reset_mask", None), self.num_envs)
+        mask = mask_of(options.pop("reset_mask", None), self.num_envs)
         if options:
             raise ValueError(
                 f"options: expected nothing but 'reset_mask', got {', '.join(options)}; another "
@@ -192,6 +193,7 @@ class SetVectorEnv(VectorEnv):
         taken = np.array(actions)
         if moved.any():
             infos["action"], infos["_action"] = taken, moved
+            self._add_success(infos, moved)
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             self._add_final(infos, ended, taken)
         return (
@@ -206,10 +208,16 @@ class SetVectorEnv(VectorEnv):
 
     def _infos(self, outputs: Any, mask: np.ndarray) -> Infos:
         told, seen = outputs.told, outputs.seen
-        names = self._engine.family.REWARDS
+        names = self._engine.family.REWARDS  # and their types
         return {
             **_masked({"speed": told.speed.copy(), "crashed": told.crashed.copy()}, mask),
-            "rewards": _masked(dict(zip(names, told.rewards.T.copy(), strict=True)), mask),
+            "rewards": _masked(
+                {
+                    name: column.astype(kind)
+                    for (name, kind), column in zip(names.items(), told.rewards.T, strict=True)
+                },
+                mask,
+            ),
             "_rewards": mask.copy(),
             "set": _masked(
                 {
@@ -221,6 +229,10 @@ class SetVectorEnv(VectorEnv):
             ),
             "_set": mask.copy(),
         }
+
+    def _add_success(self, infos: Infos, mask: np.ndarray) -> None:
+        if name := getattr(self._engine.family, "SUCCESS", None):
+            infos["is_success"], infos["_is_success"] = infos["rewards"][name], mask.copy()
 
     def _add_final(self, infos: Infos, ended: np.ndarray, taken: np.ndarray) -> None:
         """What the last step of those episodes gave that have ended and begun anew."""
@@ -235,6 +247,7 @@ class SetVectorEnv(VectorEnv):
             }
         final_info = self._infos(final, ended)
         final_info["action"], final_info["_action"] = taken, ended.copy()
+        self._add_success(final_info, ended)
         infos["final_obs"], infos["_final_obs"] = observations, ended.copy()
         infos["final_info"], infos["_final_info"] = final_info, ended.copy()
 
@@ -272,10 +285,10 @@ class SetVectorEnv(VectorEnv):
         For rendering, debugging and films; stepping it changes nothing here.
         """
         if not self._engine:
-            return pickle.loads(pickle.dumps(self._envs.envs[_index(index, self.num_envs)]))
+            return pickle.loads(pickle.dumps(self._envs.envs[index_of(index, self.num_envs)]))
         env = self._make_one()
         env.reset(seed=0)
-        materialise(env, self._engine.state, _index(index, self.num_envs))
+        materialise(env, self._engine.state, index_of(index, self.num_envs))
         if self._limit:
             env._elapsed_steps = int(self._engine.state.heads["elapsed"][index])  # type: ignore[attr-defined]
         return env
@@ -306,46 +319,3 @@ def _masked(values: dict[str, Any], mask: np.ndarray) -> Infos:
         key: part for name, value in values.items()
         for key, part in ((name, value), (f"_{name}", mask.copy()))
     }  # fmt: skip
-
-
-def _at_least_one(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise ValueError(f"{name}: expected a whole number of at least 1, got {value!r}.")
-    return int(value)
-
-
-def _mode(mode: str | AutoresetMode) -> AutoresetMode:
-    try:
-        return AutoresetMode(mode)
-    except ValueError:
-        known = ", ".join(repr(mode.value) for mode in AutoresetMode)
-        raise ValueError(f"autoreset_mode: expected one of {known}; got {mode!r}.") from None
-
-
-def _index(index: Any, count: int) -> int:
-    if not -count <= index < count:
-        raise ValueError(f"expected an environment from 0 to {count - 1}, got {index!r}.")
-    return int(index) % count
-
-
-def _seeds(seed: Any, count: int) -> list[int | None]:
-    if seed is None:
-        return [None] * count
-    if isinstance(seed, int | np.integer):
-        return [int(seed) + i for i in range(count)]
-    seeds = [None if s is None else int(s) for s in seed]
-    if len(seeds) != count:
-        raise ValueError(
-            f"seed: expected {count} seeds, one for each environment, got {len(seeds)}."
-        )
-    return seeds
-
-
-def _mask(mask: Any, count: int) -> np.ndarray:
-    if mask is None:
-        return np.ones(count, bool)
-    if not isinstance(mask, np.ndarray) or mask.shape != (count,) or mask.dtype != bool:
-        raise ValueError(f"options['reset_mask']: expected a bool array of shape ({count},).")
-    if not mask.any():
-        raise ValueError("options['reset_mask']: expected at least one environment to reset.")
-    return mask.copy()

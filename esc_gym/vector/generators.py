@@ -7,6 +7,8 @@ bits as ``numpy.random.Generator(PCG64)``.
 
 from __future__ import annotations
 
+from importlib import import_module
+from math import exp, log1p
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,10 @@ SIZE = 6
 _LOW = (1 << 64) - 1
 # PCG_DEFAULT_MULTIPLIER_128 of pcg64.h.
 _FACTOR_HIGH, _FACTOR_LOW = np.uint64(2549297995355413924), np.uint64(4865540595714422341)
+# Tables of NumPy's ziggurat, which Numba has, too.
+ziggurat: Any = import_module("numba.np.random._constants")
+_WIDTH, _KEEP, _HEIGHT = ziggurat.wi_double, ziggurat.ki_double, ziggurat.fi_double
+_TAIL, _INVERSE = ziggurat.ziggurat_nor_r, ziggurat.ziggurat_nor_inv_r
 _HALF, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
 
 
@@ -102,6 +108,31 @@ def random(g):
 def uniform(g, low, high):
     """``uniform(low, high)``."""
     return low + (high - low) * random(g)
+
+
+@outlined
+def normal(g):
+    """``normal()`` (``random_standard_normal``)."""
+    while True:
+        r = next64(g)
+        index = np.int64(r & np.uint64(0xFF))
+        size = (r >> np.uint64(9)) & np.uint64(0x000FFFFFFFFFFFFF)
+        x = np.float64(size) * _WIDTH[index]
+        if (r >> np.uint64(8)) & np.uint64(1):
+            x = -x
+        if size < _KEEP[index]:
+            return x
+        if index > 0:
+            low, high = _HEIGHT[index], _HEIGHT[index - 1]
+            if (high - low) * random(g) + low < exp(-0.5 * x * x):
+                return x
+            continue
+        while True:
+            beyond = -_INVERSE * log1p(-random(g))
+            y = -log1p(-random(g))
+            if y + y > beyond * beyond:
+                far = _TAIL + beyond
+                return -far if (size >> np.uint64(8)) & np.uint64(1) else far
 
 
 @outlined

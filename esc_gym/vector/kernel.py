@@ -1,4 +1,4 @@
-"""The two halves of a step around the sub-steps: what was decided, and what has come of it."""
+"""What a step of a batch does around the sub-steps: decide, judge, begin anew, observe."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from esc_gym.fastsim.cache import cached
-from esc_gym.fastsim.kernel import COMMAND, EGO, FRAME, scene_of
+from esc_gym.fastsim.kernel import COMMAND, EGO, FRAME, ITEMS, VEHICLES, scene_of
 from esc_gym.fastsim.numerics import compiled
-from esc_gym.fastsim.records import MDP, NOTHING
+from esc_gym.fastsim.records import MDP
 from esc_gym.vector.observe import Output, Spec, observe
 from esc_gym.vector.state import ROAD, SHUFFLE
 
 TERMINATED, TRUNCATED = range(2)
-# Values of ``over``: going on, ended, to be reset at once.
-RUNNING, ENDED, RESET = range(3)
+# Values of ``over``.
+RUNNING, ENDED = range(2)
 
 
 class Told(NamedTuple):
@@ -46,8 +46,8 @@ def decide(
     what its first action limits it to, inf and -inf for nothing.
     """
     for e in range(first, last):
-        progress[e] = 0
-        progress[e, COMMAND] = NOTHING
+        for entry in range(COMMAND + 1):
+            progress[e, entry] = 0
         if heads[e].over:
             progress[e, FRAME] = frames
             continue
@@ -65,71 +65,105 @@ def decide(
             me.target_speed = target_speeds[index]
 
 
-@compiled
-def tell(s, ego, e, head, spec, generators, ids, out, told):
-    """The observation of environment ``e``, and what info says of it."""
-    head.next_id = observe(s, ego, e, spec, generators[e, SHUFFLE], ids[e], head.next_id, out)
-    told.speed[e], told.crashed[e] = s.vehicles[ego].speed, s.vehicles[ego].crashed
-
-
-def settling(reset: Any, judge: Any) -> Any:
-    """End a step: reward, ends, observation, and the resets that are due.
-
-    reset(s, ego, head, generator, constants): makes a new scene of ``template``'s vehicles.
-    judge(s, ego, head, constants, parts): (reward, terminated, truncated), and the rewards by name.
-    period: of a policy step [s]; 0: only those that are to RESET.
-    limit: policy steps until an episode is cut short, 0 for none. same_step: reset at once, what
-    the last step gave is in ``final``; otherwise it is done with the next step.
-    """
-
-    @compiled
-    def settle_all(
-        vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
-        link_offset, exits, poses, widths, samples, numerics,
-        ids, heads, generators, template, constants,
-        reach, rules, columns, center, half, ego_columns, ego_center, ego_half, virtual,
-        out_ego, out_vehicles, out_mask, out_ids, out_counts, speed, crashed, parts,
-        end_ego, end_vehicles, end_mask, end_ids, end_counts, end_speed, end_crashed, end_parts,
-        rewards, ends, first, last, frames, period, limit, same_step
-    ):  # fmt: skip
-        spec = Spec(reach, rules, columns, center, half, ego_columns, ego_center, ego_half, virtual)
-        out, told = (
-            Output(out_ego, out_vehicles, out_mask, out_ids, out_counts),
-            Told(speed, crashed, parts),
-        )
-        final = Output(end_ego, end_vehicles, end_mask, end_ids, end_counts)
-        final_told = Told(end_speed, end_crashed, end_parts)
-        for e in range(first, last):
+@cached
+def observe_all(
+    vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
+    link_offset, exits, poses, widths, samples, numerics, ids, heads, generators,
+    reach, rules, columns, center, half, ego_columns, ego_center, ego_half, virtual,
+    ego, others, mask, out_ids, out_counts, speed, crashed, chosen, first, last
+):  # fmt: skip
+    """Observe the environments that are ``chosen`` [E]; see ``Spec`` and ``Output``."""
+    spec = Spec(reach, rules, columns, center, half, ego_columns, ego_center, ego_half, virtual)
+    out = Output(ego, others, mask, out_ids, out_counts)
+    for e in range(first, last):
+        if chosen[e]:
             s = scene_of(
                 e, vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start,
                 link_lane, link_offset, exits, poses, widths, samples, numerics,
             )  # fmt: skip
-            head, ego = heads[e], counts[e, EGO]
-            begin = head.over == RESET or (period > 0.0 and head.over != 0)
-            if not begin and period == 0.0:
-                continue
-            rewards[e], ends[e, TERMINATED], ends[e, TRUNCATED] = 0.0, 0, 0
-            if not begin:
-                head.time += period
-                head.steps += frames
-                head.elapsed += 1
-                reward, terminated, truncated = judge(s, ego, head, constants, told.rewards[e])
-                truncated = truncated or (limit > 0 and head.elapsed >= limit)
-                rewards[e] = reward
-                ends[e, TERMINATED], ends[e, TRUNCATED] = terminated, truncated
-                if terminated or truncated:
-                    begin = same_step
-                    head.over = RUNNING if same_step else ENDED
-                if begin:
-                    tell(s, ego, e, head, spec, generators, ids, final, final_told)
-                    final_told.rewards[e] = told.rewards[e]
-            if begin:
-                head.time = 0.0
-                head.steps = head.elapsed = head.over = head.next_id = 0
-                ids[e] = -1
-                s.vehicles[:] = template
-                reset(s, ego, head, generators[e, ROAD], constants)
-                judge(s, ego, head, constants, told.rewards[e])
-            tell(s, ego, e, head, spec, generators, ids, out, told)
+            me, head = counts[e, EGO], heads[e]
+            head.next_id = observe(
+                s, me, e, spec, generators[e, SHUFFLE], ids[e], head.next_id, out
+            )
+            speed[e], crashed[e] = s.vehicles[me].speed, s.vehicles[me].crashed
 
-    return settle_all
+
+def judging(judge: Any) -> Any:
+    """Rewards and ends of all environments that are RUNNING, by their family's ``judge``.
+
+    judge(s, ego, head, action, constants, parts): (reward, terminated, truncated), and the rewards
+    by name into ``parts``. action: a meta-action, -1 where there are others.
+    period: of a policy step [s]. limit: policy steps until an episode is cut short, 0 for none.
+    """
+
+    @compiled
+    def judge_all(
+        vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
+        link_offset, exits, poses, widths, samples, numerics,
+        heads, constants, parts, rewards, ends, actions, first, last, frames, period, limit
+    ):  # fmt: skip
+        for e in range(first, last):
+            head = heads[e]
+            rewards[e], ends[e, TERMINATED], ends[e, TRUNCATED] = 0.0, 0, 0
+            if head.over != RUNNING:
+                continue
+            s = scene_of(
+                e, vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start,
+                link_lane, link_offset, exits, poses, widths, samples, numerics,
+            )  # fmt: skip
+            head.time += period
+            head.steps += frames
+            head.elapsed += 1
+            action = actions[e] if e < len(actions) else -1
+            reward, terminated, truncated = judge(
+                s, counts[e, EGO], head, action, constants, parts[e]
+            )
+            truncated = truncated or (limit > 0 and head.elapsed >= limit)
+            rewards[e], ends[e, TERMINATED], ends[e, TRUNCATED] = reward, terminated, truncated
+            if terminated or truncated:
+                head.over = ENDED
+
+    return judge_all
+
+
+def beginning(reset: Any, judge: Any) -> Any:
+    """New scenes in the environments that are ``chosen`` [E], by their family's ``reset``.
+
+    reset(s, ego, generator, constants, ranges, plans, lengths): makes a scene of the vehicles of
+    ``template``, and says how many there are; the objects come after them. judge: of ``judging``.
+    """
+
+    @compiled
+    def begin_all(
+        vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
+        link_offset, exits, poses, widths, samples, numerics,
+        ids, heads, generators, template, constants, ranges, plans, lengths, parts, chosen,
+        first, last
+    ):  # fmt: skip
+        for e in range(first, last):
+            if not chosen[e]:
+                continue
+            head, ego = heads[e], counts[e, EGO]
+            head.time = 0.0
+            head.steps = head.elapsed = head.over = head.next_id = 0
+            for i in range(ids.shape[1]):
+                ids[e, i] = -1
+            for i in range(len(template)):
+                vehicles[e, i] = template[i]
+            objects = counts[e, ITEMS] - counts[e, VEHICLES]
+            counts[e, ITEMS] = len(template) - 1
+            counts[e, VEHICLES] = counts[e, ITEMS] - objects
+            for again in range(2):
+                s = scene_of(
+                    e, vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start,
+                    link_lane, link_offset, exits, poses, widths, samples, numerics,
+                )  # fmt: skip
+                if again:
+                    judge(s, ego, head, -1, constants, parts[e])
+                    break
+                n = reset(s, ego, generators[e, ROAD], constants, ranges, plans, lengths)
+                for i in range(objects):
+                    s.vehicles[n + i] = template[s.n + i]
+                counts[e, VEHICLES], counts[e, ITEMS] = n, n + objects
+
+    return begin_all

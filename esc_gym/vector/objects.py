@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from highway_env import utils
 from highway_env.vehicle.controller import MDPVehicle
 
+from esc_gym.fastsim.kernel import ITEMS, VEHICLES
 from esc_gym.fastsim.network import Network
 from esc_gym.fastsim.records import (
     BICYCLE,
@@ -17,6 +19,7 @@ from esc_gym.fastsim.records import (
     IMPACT,
     LANE_CHANGED,
     LINEAR,
+    NO_LANE,
     OBSTACLE,
     SAMPLE_COLUMNS,
     TARGET_CHANGED,
@@ -32,19 +35,42 @@ def materialise(env: Any, state: State, e: int) -> None:
     base.np_random = base.road.np_random = generator(state.generators[e, ROAD])
     base.observation_type.rng = generator(state.generators[e, SHUFFLE])
     base.time, base.steps = float(head["time"]), int(head["steps"])
-    traffic = Traffic()
-    traffic.gather(base.road, Network(base.road.network), False)
-    records = state.vehicles[e].copy()
-    records["changed"] = LANE_CHANGED | CRASH | IMPACT | HIT
-    records["changed"][records["kind"] >= CONTROLLED] |= TARGET_CHANGED
+    _make_room(base, int(state.counts[e, VEHICLES]))
+    traffic, network = Traffic(), Network(base.road.network)
+    traffic.gather(base.road, network, False)
+    records = state.vehicles[e, : state.counts[e, ITEMS] + 1].copy()
+    records["route_taken"] = 0
+    kinds = records["kind"]
+    records["changed"] = CRASH | HIT
+    records["changed"][kinds < OBSTACLE] |= LANE_CHANGED | IMPACT
+    records["changed"][(kinds >= CONTROLLED) & (kinds < OBSTACLE)] |= TARGET_CHANGED
     traffic.records = records
     traffic.scatter(np.empty((0, SAMPLE_COLUMNS)))
-    for item, record, number in zip(traffic.items, records[:-1], state.ids[e], strict=True):
-        _restore(item, record, int(number))
+    for i, item in enumerate(traffic.items):
+        _restore(item, state.vehicles[e, i], int(state.ids[e, i]))
+        if CONTROLLED <= state.vehicles[e, i]["kind"] < OBSTACLE:
+            _restore_route(item, state.vehicles[e, i], state.routes[e, i], network)
     if isinstance(ego := base.vehicle, MDPVehicle):
         # Its target speed is always one of its target speeds.
         ego.speed_index = ego.target_speeds.tolist().index(ego.target_speed)
     base.road.set_ids = int(head["next_id"]) - 1
+
+
+def _make_room(base: Any, n: int) -> None:
+    """Have ``n`` vehicles on the road, whatever their state."""
+    vehicles = base.road.vehicles
+    driver = utils.class_from_path(base.config["other_vehicles_type"])
+    vehicles += [driver(base.road, [0.0, 0.0]) for _ in range(n - len(vehicles))]
+    del vehicles[n:]
+
+
+def _restore_route(item: Any, record: Any, steps: np.ndarray, network: Network) -> None:
+    taken, length = int(record["route_taken"]), int(record["route_length"])
+    if taken or length:
+        item.route = [
+            (*network.indexes[road][:2], None if lane == NO_LANE else int(lane))
+            for road, lane in steps[taken : taken + length].tolist()
+        ]
 
 
 def _restore(item: Any, record: Any, number: int) -> None:
@@ -53,14 +79,15 @@ def _restore(item: Any, record: Any, number: int) -> None:
     limits = record["min_speed"], record["max_speed"]
     if kind < OBSTACLE and limits != (item.MIN_SPEED, item.MAX_SPEED):
         d["MIN_SPEED"], d["MAX_SPEED"] = limits
-    if kind >= CONTROLLED:
+    if CONTROLLED <= kind < OBSTACLE:
         d["target_speed"] = record["target_speed"]
-    if kind >= IDM:
+    if kind in (IDM, LINEAR) and record["delta"] != item.DELTA:
         d["DELTA"] = float(record["delta"])
     if kind == LINEAR:
-        names = "acceleration_0", "acceleration_1", "acceleration_2", "steering_0", "steering_1"
-        values = np.array([record[name] for name in names])
-        d["ACCELERATION_PARAMETERS"], d["STEERING_PARAMETERS"] = values[:3], values[3:]
+        for name, count, of in (("ACCELERATION", 3, "acceleration"), ("STEERING", 2, "steering")):
+            values = np.array([record[f"{of}_{index}"] for index in range(count)])
+            if (values != getattr(item, f"{name}_PARAMETERS")).any():
+                d[f"{name}_PARAMETERS"] = values
     if kind == BICYCLE:
         d["lateral_speed"], d["yaw_rate"] = record["lateral_speed"], record["yaw_rate"]
     d.pop("set_id", None)

@@ -273,12 +273,13 @@ def by_distance(near, squares, count):
 @compiled
 def nearest(near, squares, count, kept):
     """Leave the ``kept`` nearest, in road order; of equals, the first."""
-    ranked, ordered = near[:count].copy(), squares[:count].copy()
+    ranked, ordered, chosen = near.copy(), squares.copy(), np.zeros(len(near), np.bool_)
     by_distance(ranked, ordered, count)
-    chosen = np.sort(ranked[:kept])
+    for index in range(kept):
+        chosen[ranked[index]] = True
     place = 0
     for index in range(count):
-        if place < kept and near[index] == chosen[place]:
+        if chosen[near[index]]:
             near[place], squares[place] = near[index], squares[index]
             place += 1
 
@@ -290,7 +291,7 @@ def observe(s, ego, e, spec, order_generator, ids, next_id, out):
     ids [m]: the number by which each vehicle is known since it was first perceived, -1 before.
     """
     view = view_of(s, ego, spec.rules[BODY_FRAME])
-    near, squares = np.empty(s.m, np.int64), np.empty(s.m)
+    near, squares = np.zeros(s.m, np.int64), np.empty(s.m)
     count = perceive(s, view, ego, spec.reach, near, squares)
     for index in range(count):
         if ids[near[index]] < 0:
@@ -307,11 +308,15 @@ def observe(s, ego, e, spec, order_generator, ids, next_id, out):
     for row in range(kept):
         vehicle_row(s, view, near[row], spec, out.vehicles[e, row])
         out.ids[e, row] = ids[near[row]]
-    out.vehicles[e, kept:] = 0.0
-    out.mask[e, :kept], out.mask[e, kept:] = 1, 0
-    out.ids[e, kept:] = -1
+        out.mask[e, row] = 1
+    for row in range(kept, n):
+        out.mask[e, row], out.ids[e, row] = 0, -1
+        for column in range(len(spec.columns)):
+            out.vehicles[e, row, column] = 0.0
     if kept == 0 and spec.rules[VIRTUAL]:
-        out.vehicles[e, 0], out.mask[e, 0] = spec.virtual, 1
+        out.mask[e, 0] = 1
+        for column in range(len(spec.columns)):
+            out.vehicles[e, 0, column] = spec.virtual[column]
     out.counts[e, 0], out.counts[e, 1] = count, count - kept
     for column in range(len(spec.ego_columns)):
         value = ego_value(s, view, ego, spec.ego_columns[column], spec.rules[LANE])

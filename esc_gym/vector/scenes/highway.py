@@ -10,27 +10,31 @@ from highway_env.envs.highway_env import HighwayEnv, HighwayEnvFast
 from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import clip, cos, outlined
-from esc_gym.vector.kernel import settling
+from esc_gym.vector.generators import below
+from esc_gym.vector.kernel import beginning, judging
 from esc_gym.vector.scenes.roads import (
-    appear_at_random,
-    lane_number,
+    create_random,
     lmap,
     on_road,
     randomize,
+    wanted_lane,
+    weighted,
 )
 
 CLASSES = (HighwayEnv, HighwayEnvFast)
-REWARDS = ("collision_reward", "right_lane_reward", "high_speed_reward", "on_road_reward")
+REWARDS = {
+    "collision_reward": float, "right_lane_reward": float, "high_speed_reward": float,
+    "on_road_reward": float,
+}  # fmt: skip
+COLLISION, RIGHT_LANE, HIGH_SPEED, ON_ROAD = range(4)
 REPEATED = Repeated(
     "55faa1def9ac7252366a5b8c0629724a546aed518d53dfa1f2e5e5c2bbad2e38",
     (HighwayEnv, "_reset _create_road _create_vehicles"),
     (HighwayEnv, "_reward _rewards _is_terminated _is_truncated"),
     (HighwayEnvFast, "_create_vehicles"),
 )
-COLLISION, RIGHT_LANE, HIGH_SPEED, ON_ROAD = range(4)
-# Entries of ``constants`` after the weights of the rewards and the six ranges of behaviour.
+# Entries of the constants after the weights of the rewards.
 NORMALIZE, SLOW, FAST, OFFROAD_TERMINAL, DURATION, LANE, SPACING, OTHERS, DENSITY = range(4, 13)
-RANGES = 13
 
 
 def unknown(env: Any) -> str:
@@ -40,49 +44,46 @@ def unknown(env: Any) -> str:
     best = config["high_speed_reward"] + config["right_lane_reward"]
     if low == high or (config["normalize_reward"] and best == config["collision_reward"]):
         return "a reward whose range is empty"
-    if config["initial_lane_id"] is not None and not (
-        0 <= config["initial_lane_id"] < config["lanes_count"]
-    ):
+    lane = config["initial_lane_id"]
+    if lane is not None and not 0 <= lane < config["lanes_count"]:
         return "an initial_lane_id that is no lane"
     return ""
 
 
-def constants(env: Any, ranges: np.ndarray) -> np.ndarray:
-    """The configuration as numbers; ranges [6, 2]: see ``roads.randomize``."""
+def constants(env: Any, network: Any) -> list[float]:
+    """The configuration as numbers."""
     config, lane = env.config, env.config["initial_lane_id"]
-    return np.array([
+    return [
         *(config.get(name, 0) for name in REWARDS),
         config["normalize_reward"], *config["reward_speed_range"], config["offroad_terminal"],
         config["duration"], -1 if lane is None else lane, config["ego_spacing"],
         1 / config["vehicles_density"], np.exp(-5 / 40 * config["lanes_count"]),
-        *ranges.ravel(),
-    ], float)  # fmt: skip
+    ]  # fmt: skip
 
 
 @outlined
-def reset(s, ego, head, g, c):
-    """``HighwayEnv._create_vehicles``."""
-    ranges = c[RANGES:].reshape(6, 2)
-    lane = np.int64(c[LANE])
-    appear_at_random(s, ego, g, 0, lane, 25.0, c[SPACING], c[DENSITY])
+def reset(s, ego, g, c, ranges, plans, lengths):
+    """``HighwayEnv._create_vehicles``; how many vehicles there are."""
+    lanes = s.lanes[0].count
+    lane = np.int64(c[LANE]) if c[LANE] >= 0 else below(g, lanes)
+    create_random(s, ego, g, lane, 25.0, c[SPACING], c[DENSITY])
     for i in range(1, s.n):
-        appear_at_random(s, i, g, 0, -1, np.nan, c[OTHERS], c[DENSITY])
+        create_random(s, i, g, below(g, lanes), np.nan, c[OTHERS], c[DENSITY])
         randomize(s, i, g, ranges)
+    return s.n
 
 
 @outlined
-def judge(s, ego, head, c, parts):
+def judge(s, ego, head, action, c, parts):
     """``HighwayEnv._reward``, ``_is_terminated``, ``_is_truncated``."""
     me = s.vehicles[ego]
     is_on_road = on_road(s, ego)
     speed = lmap(me.speed * cos(s.np, me.heading), c[SLOW], c[FAST], 0, 1)
     parts[COLLISION] = np.float64(me.crashed)
-    parts[RIGHT_LANE] = lane_number(s, ego) / max(s.lanes[me.lane].count - 1, 1)
+    parts[RIGHT_LANE] = s.lanes[wanted_lane(s, ego)].id / max(s.lanes[me.lane].count - 1, 1)
     parts[HIGH_SPEED] = clip(speed, 0.0, 1.0)
     parts[ON_ROAD] = 1.0 if is_on_road else 0.0
-    reward = 0.0
-    for index in range(len(parts)):
-        reward += c[index] * parts[index]
+    reward = weighted(parts, c, 2)
     if c[NORMALIZE]:
         reward = lmap(reward, c[COLLISION], c[HIGH_SPEED] + c[RIGHT_LANE], 0, 1)
     reward *= parts[ON_ROAD]
@@ -90,10 +91,16 @@ def judge(s, ego, head, c, parts):
     return reward, terminated, head.time >= c[DURATION]
 
 
-_settle = settling(reset, judge)
+_judge, _begin = judging(judge), beginning(reset, judge)
 
 
 @cached
-def settle(*arguments):
-    """See ``settling``."""
-    _settle(*arguments)
+def judge_all(*arguments):
+    """See ``judging``."""
+    _judge(*arguments)
+
+
+@cached
+def begin_all(*arguments):
+    """See ``beginning``."""
+    _begin(*arguments)

@@ -48,6 +48,20 @@ def test_configurations_of_the_highway(name):
     assert sum(resets(expected)) > 3
 
 
+SCENARIOS = {
+    "exit-v0": 40, "exit-v1": 25, "merge-v0": 50, "merge-v1": 40, "merge-generic-v0": 50,
+    "merge-generic-v1": 40, "two-way-v0": 40, "u-turn-v0": 40, "u-turn-v1": 40,
+    "roundabout-v0": 40, "roundabout-v1": 40, "roundabout-generic-v0": 40,
+    "roundabout-generic-v1": 40,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_scenarios_over_resets(name):
+    expected = compare(f"esc_gym/{name}", seeds=range(4), steps=SCENARIOS[name], threads=2)
+    assert sum(resets(expected)) > 6
+
+
 OBSERVATIONS = {
     "shuffled": {"order": "shuffled"},
     "nearest first": {"order": "distance", "max_vehicles": 4},
