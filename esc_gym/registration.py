@@ -10,6 +10,7 @@ from typing import Any
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers highway-env's own ids)
+import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
@@ -106,7 +107,19 @@ def merge_config(default: dict[str, Any], changes: Mapping[str, Any]) -> dict[st
             raise ValueError(f"config: unknown key {key!r}; {hint}")
         if isinstance(default.get(key), dict) and not isinstance(changes[key], Mapping):
             raise ValueError(f"config[{key!r}]: expected a mapping, got {changes[key]!r}.")
+        _check_number(key, default.get(key), changes[key])
     return merge(default, changes)
+
+
+def _check_number(key: str, default: Any, value: Any) -> None:
+    """highway-env itself would fail later, or drive on an empty road."""
+    count = key.endswith("_count")
+    if isinstance(default, bool) or not isinstance(default, int | float):
+        return
+    whole = isinstance(value, int | np.integer) and value >= 0
+    if not (whole if count else isinstance(value, int | float | np.number)):
+        expected = "a whole number of at least 0" if count else "a number"
+        raise ValueError(f"config[{key!r}]: expected {expected}, got {value!r}.")
 
 
 def merge(config: Mapping[str, Any], *changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -82,6 +82,17 @@ def test_the_plugin_knows_nothing_of_the_applications():
         assert not [name for name in imports(path) if name.split(".")[0] == "esc_agents"], path
 
 
+def test_arrows_in_the_plugin():
+    """The kernels know nothing of ours, and nothing but the engine itself knows the engine."""
+    for path in modules("esc_gym"):
+        room = path.relative_to(ROOT / "esc_gym").parts[0]
+        ours = {name for name in imports(path) if name.split(".")[0] == "esc_gym"}
+        if room == "fastsim":
+            assert all(name.startswith("esc_gym.fastsim") for name in ours), path
+        if room != "vector":
+            assert not [name for name in ours if name.startswith("esc_gym.vector")], path
+
+
 @pytest.mark.parametrize("folder", ["agents", "esc_gym", "tests", "examples"])
 def test_no_module_is_too_long(folder):
     sizes = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in modules(folder)}

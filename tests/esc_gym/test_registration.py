@@ -122,6 +122,20 @@ def test_merge_config_leaves_the_default_alone():
     assert default == {"action": {"type": "A", "x": 1}, "lanes_count": 4}
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"vehicles_count": "abc"}, "'vehicles_count'.: expected a whole number of at least 0"),
+        ({"vehicles_count": -3}, "expected a whole number of at least 0, got -3"),
+        ({"lanes_count": 2.5}, "expected a whole number of at least 0, got 2.5"),
+        ({"duration": "long"}, "'duration'.: expected a number, got 'long'"),
+    ],
+)
+def test_numbers_in_a_configuration(changes, message):
+    with pytest.raises(ValueError, match=message):
+        gym.make("esc_gym/highway-v0", config=changes)
+
+
 def test_bad_configuration():
     with pytest.raises(ValueError, match="unknown key 'lane_count'; did you mean 'lanes_count'"):
         gym.make("esc_gym/highway-v0", config={"lane_count": 3})

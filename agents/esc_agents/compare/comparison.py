@@ -74,6 +74,7 @@ def plan(config: CompareConfig, trust: bool = False) -> Plan:
 
 def compare(config: CompareConfig, out: Path, engine: Engine, trust: bool = False) -> None:
     """Do what ``out`` does not hold yet, and write its report. trust: as of ``Plan``."""
+    store.check_folder(out)
     planned = plan(config, trust)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -136,6 +137,7 @@ def _run(title: str, jobs: Sequence[Job], planned: Plan, out: Path, engine: Engi
 
 def dry_run(config: CompareConfig, out: Path, workers: int, trust: bool = False) -> None:
     """Print the grid, and what it will take on this machine. trust: as of ``Plan``."""
+    store.check_folder(out)
     planned = plan(config, trust)
     rows = [["", "N", "Z", "tuning runs", "runs", "finished", "steps each"]]
     for env, repr in product(config.env, config.repr):

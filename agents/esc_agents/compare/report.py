@@ -140,7 +140,7 @@ def details(tasks: Sequence[Task]) -> Iterator[Block]:
         )
         yield Rows(list(table(task)))
         if sentences := missing(task):
-            again = f"esc-compare tries again without `{task.folder.name}/baselines.json`."
+            again = f"Remove `{task.folder.name}/baselines.json` to have it tried again."
             yield Text(" ".join([*sentences, again]))
 
 

@@ -163,6 +163,12 @@ def baselines(folder: Path, trust: bool = False) -> Baselines | None:
         return Baselines(summaries(content.pop("blind")), rule, **content)
 
 
+def check_folder(out: Path) -> None:
+    """Raises UserError for the directory of a training run."""
+    if (out / "config.yaml").exists() and not any(task_folders(out)):
+        raise UserError(f"--out {out}: is the directory of a training run; give another")
+
+
 def begin_task(out: Path, config: CompareConfig, env: str, trust: bool = False) -> None:
     """Note what all runs of a scenario share. Raises UserError where it is not what it was."""
     folder = out / task_name(env, config.algo)

@@ -67,6 +67,15 @@ def test_a_dry_run_trains_nothing(compare):
     assert not Path("runs").exists()
 
 
+@pytest.mark.parametrize("dry", [[], ["--dry-run"]])
+def test_the_directory_of_a_run_is_refused(compare, dry):
+    Path("run").mkdir()
+    Path("run/config.yaml").touch()
+    code, _, err = compare("--config", "tiny.yaml", "--out", "run", *dry)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "--out run: is the directory of a training run" in err
+
+
 @pytest.mark.parametrize(
     ("args", "message"),
     [
