@@ -28,6 +28,8 @@ from platformdirs import user_cache_path
 # Filled when Numba is imported.
 _settings: Any = import_module("numba.core.config")
 VARIABLE = "ESC_GYM_CACHE_DIR"
+# Files of the package that hold compiled code, or what it is compiled from.
+_COMPILED = "fastsim/*.py", "vector/[gko]*.py", "vector/state.py", "vector/scenes/*.py"
 # Without the interpreter's lock, so that threads share environments out among them.
 _OPTIONS: Any = {"error_model": "numpy", "nogil": True}
 
@@ -63,7 +65,7 @@ def _candidates() -> Iterator[Path]:
 def _fingerprint() -> str:
     digest = hashlib.sha256()
     package = Path(__file__).parent.parent
-    for source in sorted(package.glob("fastsim/*.py")) + sorted(package.glob("vector/**/*.py")):
+    for source in sorted(path for pattern in _COMPILED for path in package.glob(pattern)):
         digest.update(source.read_bytes())
     versions = (platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__)
     cpu = llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten()

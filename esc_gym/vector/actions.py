@@ -11,20 +11,19 @@ from highway_env.envs.common.action import ContinuousAction, DiscreteAction, Dis
 from esc_gym.fastsim.engine import COMMANDS, SPEED_STEPS
 from esc_gym.fastsim.records import KEEP
 
-NO_ACTIONS = np.zeros(0, np.int64)
+NO_ACTIONS, NO_CONTROLS = np.zeros(0, np.int64), np.zeros((0, 2))
 
 
 class Actions:
     """A batch of actions as the kernels take it: meta-actions, or steering and acceleration."""
 
-    def __init__(self, action_type: Any, count: int) -> None:
-        self.type, self.count = action_type, count
+    def __init__(self, action_type: Any) -> None:
+        self.type = action_type
         self.meta = isinstance(action_type, DiscreteMetaAction)
         names = list(action_type.actions.values()) if self.meta else []
         self.commands = np.array([COMMANDS.get(name, KEEP) for name in names], np.int64)
         self.speed_steps = np.array([SPEED_STEPS.get(name, 0) for name in names], np.int64)
         self.target_speeds = np.array(action_type.target_speeds if self.meta else [0.0, 1.0], float)
-        self.controls = np.zeros((count, 2))
         speed_range = getattr(action_type, "speed_range", None) or (np.inf, -np.inf)
         self.speed_range = np.array(speed_range, float)
         self.table = None
@@ -43,11 +42,11 @@ class Actions:
                 return "target speeds that are all the same"
         return ""
 
-    def checked(self, actions: Any) -> np.ndarray:
+    def checked(self, actions: Any, count: int) -> np.ndarray:
         """The batch as an array of the shape that the action space has, or ValueError."""
         actions = np.asarray(actions)
         space = self.type.space()
-        shape = (self.count, *space.shape)
+        shape = (count, *space.shape)
         if actions.shape != shape:
             raise ValueError(f"actions: expected shape {shape}, got {actions.shape}.")
         if space.shape:
@@ -60,15 +59,15 @@ class Actions:
             raise ValueError(f"actions: expected 0 to {space.n - 1}, got {bad}.")
         return actions
 
-    def taken(self, actions: np.ndarray) -> np.ndarray:
-        """Meta-actions as numbers; of others ``controls`` is filled."""
+    def taken(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(meta-actions [E], NO_CONTROLS), or (NO_ACTIONS, steering and acceleration [E, 2])."""
         if self.meta:
-            return np.ascontiguousarray(actions, np.int64)
+            return np.ascontiguousarray(actions, np.int64), NO_CONTROLS
         if self.table is not None:
-            self.controls[:] = self.table[actions]
-            return NO_ACTIONS
-        self.controls[:, 0], self.controls[:, 1] = self._split(actions)
-        return NO_ACTIONS
+            return NO_ACTIONS, self.table[actions]
+        controls = np.empty((len(actions), 2))
+        controls[:, 0], controls[:, 1] = self._split(actions)
+        return NO_ACTIONS, controls
 
     def _split(self, actions: Any) -> tuple[Any, Any]:
         """(steering, acceleration): ``ContinuousAction.get_action``, in the actions' own type."""

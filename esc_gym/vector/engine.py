@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from copy import copy
 from itertools import pairwise
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -28,13 +30,14 @@ from highway_env.vehicle.objects import RoadObject
 
 from esc_gym.fastsim import kernel, known
 from esc_gym.fastsim.engine import machine
-from esc_gym.fastsim.network import Network, Unknown
+from esc_gym.fastsim.network import Network
 from esc_gym.fastsim.records import SAMPLE_COLUMNS
 from esc_gym.fastsim.traffic import Traffic
 from esc_gym.vector import observe
 from esc_gym.vector.actions import Actions
 from esc_gym.vector.generators import generator, row
 from esc_gym.vector.kernel import RUNNING, Told, decide, observe_all
+from esc_gym.vector.objects import follow_road
 from esc_gym.vector.scenes import exits, highway, merge, roundabout, two_way, u_turn
 from esc_gym.vector.scenes.roads import ROUTE_LENGTH, Plans, behavior_ranges
 from esc_gym.vector.state import ROAD, SHUFFLE, State
@@ -105,10 +108,13 @@ class Outputs:
         )
         self.told = Told(np.zeros(count), np.zeros(count, np.bool_), np.zeros((count, rewards)))
 
-    def take(self, other: Outputs, first: int, last: int) -> None:
-        """Copy what ``other`` holds of some environments."""
-        for mine, theirs in zip((*self.seen, *self.told), (*other.seen, *other.told), strict=True):
-            mine[first:last] = theirs[first:last]
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        return (*self.seen, *self.told)
+
+    def copy_from(self, other: Outputs, here: Any, there: Any) -> None:
+        """Take what ``other`` holds of the environments ``there``."""
+        for mine, theirs in zip(self.arrays(), other.arrays(), strict=True):
+            mine[here] = theirs[there]
 
 
 class Engine:
@@ -123,20 +129,19 @@ class Engine:
     ) -> None:
         base = env.unwrapped
         config = base.config
-        self.env, self.family, self.count = env, family, count
+        self.env, self.family = env, family
         self.limit, self.same_step = limit, same_step
         network, traffic = Network(base.road.network), Traffic()
         traffic.gather(base.road, network, bool(known.is_regulated(type(base.road))))
         self.network = network
         self.template = _template(traffic, capacity_of(family, base))
         items, n = len(self.template) - 1, traffic.n
-        self.state = State.empty(count, items, ROUTE_LENGTH)
-        objects = len(traffic.items) - n
-        self.state.counts[:] = items - objects, items, 0, traffic.controlled(base.vehicle)
-        self.state.generators[:, SHUFFLE] = row(np.random.default_rng())
+        state, objects = State.empty(count, items, ROUTE_LENGTH), len(traffic.items) - n
+        state.counts[:] = items - objects, items, 0, traffic.controlled(base.vehicle)
+        state.generators[:, SHUFFLE] = row(np.random.default_rng())
         # Of reset(seed=...); None: never reset. The seed of a reset without one is drawn.
         self.seeds: list[int | None] = [None] * count
-        self.actions = Actions(base.action_type, count)
+        self.actions = Actions(base.action_type)
         self.frames = int(config["simulation_frequency"] // config["policy_frequency"])
         self.period, self.dt = 1 / config["policy_frequency"], 1 / config["simulation_frequency"]
         driver = utils.class_from_path(config["other_vehicles_type"])
@@ -145,36 +150,43 @@ class Engine:
         self.behavior = behavior_ranges(driver), plans.steps, plans.lengths
         lane = family.lane(base, network) if hasattr(family, "lane") else -1
         self.spec = observe.spec_of(base.observation_type, lane)
-        self.now = Outputs(env.observation_space, count, len(family.REWARDS))
-        self.final = Outputs(env.observation_space, count, len(family.REWARDS))
+        self.links = network.links(bool(config["neighbour_vehicles_connected_lanes"]))
+        self._threads, self._objects, self._asking = threads, env.unwrapped, Lock()
+        self._allocate(state)
+
+    def _allocate(self, state: State) -> None:
+        """Room for what the environments of ``state`` return, and their shares of the threads."""
+        self.state, count = state, len(state.heads)
+        space, rewards = self.env.observation_space, len(self.family.REWARDS)
+        self.now, self.final = Outputs(space, count, rewards), Outputs(space, count, rewards)
         self.rewards, self.ends = np.zeros(count), np.zeros((count, 2), np.bool_)
         # Where the last step began a new episode in place of a step; and a mask of all.
         self.begun, self.everywhere = np.zeros(count, bool), np.ones(count, bool)
         self.progress = np.zeros((count, kernel.COMMAND + 1), np.int64)
-        self._prepare(threads, bool(config["neighbour_vehicles_connected_lanes"]))
-
-    def _prepare(self, threads: int, connected: bool) -> None:
-        """Put the arguments of the kernels together, and the threads that call them."""
-        threads = min(threads, self.count)
-        network, numerics = self.network, machine()[1]
-        edges = np.linspace(0, self.count, threads + 1).astype(int).tolist()
-        items = self.state.vehicles.shape[1] - 1
-        roads = (
-            network.exits,
-            network.poses,
-            network.widths,
-            np.empty((1, SAMPLE_COLUMNS)),
-            numerics,
-        )
-        links = network.links(connected)
-        state = self.state
+        threads, network = min(self._threads, count), self.network
+        edges = np.linspace(0, count, threads + 1).astype(int).tolist()
+        samples, numerics = np.empty((1, SAMPLE_COLUMNS)), machine()[1]
         self._shares = []
         for first, last in pairwise(edges):
-            tables = kernel.tables(len(network.lanes), items)
-            scene = network.records, *tables, *links, *roads
-            scenes = state.vehicles, state.counts, state.routes, *scene
+            tables = kernel.tables(len(network.lanes), state.ids.shape[1])
+            scenes = (
+                state.vehicles, state.counts, state.routes, network.records, *tables, *self.links,
+                network.exits, network.poses, network.widths, samples, numerics,
+            )  # fmt: skip
             self._shares.append((first, last, scenes))
-        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+        self._pool: ThreadPoolExecutor | None = None
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """What a snapshot holds: the state, and what was returned last."""
+        return (*self.state.arrays(), *self.now.arrays())
+
+    def fork(self, indices: np.ndarray) -> Engine:
+        """An engine of copies of some environments, as many times as asked for."""
+        other = copy(self)
+        other.seeds = [self.seeds[e] for e in indices.tolist()]
+        other._allocate(self.state.taken(indices))
+        other.now.copy_from(self.now, slice(None), indices)
+        return other
 
     def generators(self) -> tuple[np.random.Generator, ...]:
         """Copies of highway-env's generators."""
@@ -186,7 +198,10 @@ class Engine:
 
     def _share_out(self, work: Any, *arguments: Any) -> None:
         """``work`` on all environments, a part of them in each thread."""
-        others = [self._pool.submit(work, share, *arguments) for share in self._shares[1:]]  # type: ignore[union-attr]
+        if self._pool is None and len(self._shares) > 1:
+            self._pool = ThreadPoolExecutor(len(self._shares) - 1)
+        pool: Any = self._pool
+        others = [pool.submit(work, share, *arguments) for share in self._shares[1:]]
         work(self._shares[0], *arguments)
         wait(others)
         for other in others:
@@ -207,23 +222,27 @@ class Engine:
 
     def step(self, actions: Any) -> None:
         """One policy step of each environment. ValueError, and nothing is done, for bad actions."""
-        taken = self.actions.taken(self.actions.checked(actions))
+        taken = self.actions.taken(self.actions.checked(actions, len(self.ends)))
         self.begun = self.state.heads["over"] != RUNNING
-        self._share_out(self._step, taken)
+        self._share_out(self._step, *taken)
 
-    def _step(self, share: Any, taken: np.ndarray) -> None:
+    def _step(self, share: Any, taken: np.ndarray, controls: np.ndarray) -> None:
         first, last, scenes = share
         state, actions, frames = self.state, self.actions, self.frames
         decide(
             state.vehicles, state.counts, state.heads, self.progress, taken, actions.commands,
-            actions.speed_steps, actions.target_speeds, actions.controls,
+            actions.speed_steps, actions.target_speeds, controls,
             actions.speed_range, first, last, frames,
         )  # fmt: skip
-        found = kernel.run(*scenes, self.progress, first, last, frames, self.dt, 0, 0.0)
-        if found == kernel.NOT_FINITE:
-            raise ValueError("a vehicle with NaN, infinite or enormous state")
-        if found != kernel.DONE:
-            raise Unknown("a route that leads elsewhere")
+        while True:
+            found = kernel.run(*scenes, self.progress, first, last, frames, self.dt, 0, 0.0)
+            if found == kernel.DONE:
+                break
+            if found == kernel.NOT_FINITE:
+                raise ValueError("a vehicle with NaN, infinite or enormous state")
+            waiting = np.flatnonzero(self.progress[first:last, kernel.RESUMED])
+            with self._asking:
+                follow_road(self._objects, state, first + int(waiting[0]), found)
         self.family.judge_all(
             *scenes, state.heads, self.constants, self.now.told.rewards, self.rewards, self.ends,
             taken, first, last, frames, self.period, self.limit,
@@ -232,7 +251,7 @@ class Engine:
         if self.same_step:
             self._observe(share, self.everywhere, self.now)
             if ended[first:last].any():
-                self.final.take(self.now, first, last)
+                self.final.copy_from(self.now, slice(first, last), slice(first, last))
                 self._begin(share, ended)
             return
         if self.begun[first:last].any():

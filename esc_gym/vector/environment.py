@@ -5,7 +5,9 @@ from __future__ import annotations
 import pickle
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy as shallow_copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import gymnasium as gym
@@ -14,14 +16,14 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from esc_gym import fastsim
+from esc_gym.fastsim.records import VEHICLE
 from esc_gym.registration import make
 from esc_gym.vector.arguments import at_least_one, index_of, mask_of, mode_of, seeds_of
 from esc_gym.vector.engine import Engine, family_of
-from esc_gym.vector.kernel import TERMINATED, TRUNCATED
-from esc_gym.vector.objects import materialise
-
-Infos = dict[str, Any]
-HEADER = b"esc_gym snapshot 1\n"
+from esc_gym.vector.infos import Infos, add_final, add_step, infos_of, with_ids
+from esc_gym.vector.kernel import RUNNING, TERMINATED, TRUNCATED
+from esc_gym.vector.objects import materialise, reset_quietly
+from esc_gym.vector.state import packed, unpack
 
 
 @dataclass(frozen=True)
@@ -108,13 +110,11 @@ class SetVectorEnv(VectorEnv):
         self.single_observation_space, self.single_action_space = (
             env.observation_space, env.action_space,
         )  # fmt: skip
-        self.observation_space = batch_space(env.observation_space, self.num_envs)
-        self.action_space = batch_space(env.action_space, self.num_envs)
-        env.reset(seed=0)
+        base: Any = env.unwrapped
+        self._task = base_id, {**base.config, "observation": None}
+        reset_quietly(env)
         accelerated = set_observation.get("accelerate", True)
-        family, self._reason = (
-            family_of(env.unwrapped) if accelerated else (None, "accelerate=False")
-        )
+        family, self._reason = family_of(base) if accelerated else (None, "accelerate=False")
         self._warned = False
         self._engine: Any = None
         self._envs: Any = None
@@ -124,6 +124,14 @@ class SetVectorEnv(VectorEnv):
         else:
             self._envs = SyncVectorEnv([make_one] * self.num_envs, copy, autoreset_mode=mode)
             env.close()
+
+    @cached_property
+    def observation_space(self) -> gym.Space:  # type: ignore[override]
+        return batch_space(self.single_observation_space, self.num_envs)
+
+    @cached_property
+    def action_space(self) -> gym.Space:  # type: ignore[override]
+        return batch_space(self.single_action_space, self.num_envs)
 
     def report(self) -> Report:
         """Whether the batch engine simulates this, and if not, why."""
@@ -154,7 +162,7 @@ class SetVectorEnv(VectorEnv):
         seeds = seeds_of(seed, self.num_envs)
         if not self._engine:
             observation, infos = self._envs.reset(seed=seeds, options=options or None)
-            return observation, self._told(infos)
+            return observation, with_ids(infos, self.num_envs, self.set_spec.max_vehicles)
         mask = mask_of(options.pop("reset_mask", None), self.num_envs)
         if options:
             raise ValueError(
@@ -163,7 +171,7 @@ class SetVectorEnv(VectorEnv):
             )
         self._engine.reset(seeds, mask)
         self._note_overflow()
-        return self._observation(self._engine.now), self._infos(self._engine.now, mask)
+        return self._observation(self._engine.now), infos_of(self._engine, self._engine.now, mask)
 
     def step(
         self, actions: Any
@@ -175,9 +183,10 @@ class SetVectorEnv(VectorEnv):
         """
         if not self._engine:
             observation, *rest, infos = self._envs.step(actions)
-            return observation, *rest, self._told(infos)  # type: ignore[return-value]
+            infos = with_ids(infos, self.num_envs, self.set_spec.max_vehicles)
+            return observation, *rest, infos  # type: ignore[return-value]
         engine = self._engine
-        over = engine.state.heads["over"] != 0
+        over = engine.state.heads["over"] != RUNNING
         if self.autoreset_mode is AutoresetMode.DISABLED and over.any():
             raise ValueError(
                 f"environment {int(np.argmax(over))} has ended; reset it first: "
@@ -185,17 +194,15 @@ class SetVectorEnv(VectorEnv):
             )
         engine.step(actions)
         self._note_overflow()
-        everywhere = np.ones(self.num_envs, bool)
-        infos = self._infos(engine.now, everywhere)
+        infos = infos_of(engine, engine.now, engine.everywhere)
         ends = engine.ends.copy()
-        ended = ends.any(axis=1)
-        moved = ~ended if self.autoreset_mode is AutoresetMode.SAME_STEP else ~over
-        taken = np.array(actions)
-        if moved.any():
-            infos["action"], infos["_action"] = taken, moved
-            self._add_success(infos, moved)
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
-            self._add_final(infos, ended, taken)
+        ended, taken = ends.any(axis=1), np.array(actions)
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            add_step(infos, engine, taken, ~ended)
+            if ended.any():
+                add_final(infos, engine, taken, ended)
+        else:
+            add_step(infos, engine, taken, ~engine.begun)
         return (
             self._observation(engine.now), engine.rewards.copy(),
             ends[:, TERMINATED].copy(), ends[:, TRUNCATED].copy(), infos,
@@ -205,63 +212,6 @@ class SetVectorEnv(VectorEnv):
         seen = outputs.seen
         parts = {"ego": seen.ego, "vehicles": seen.vehicles, "mask": seen.mask}
         return {name: part.copy() for name, part in parts.items()} if self.copy else parts
-
-    def _infos(self, outputs: Any, mask: np.ndarray) -> Infos:
-        told, seen = outputs.told, outputs.seen
-        names = self._engine.family.REWARDS  # and their types
-        return {
-            **_masked({"speed": told.speed.copy(), "crashed": told.crashed.copy()}, mask),
-            "rewards": _masked(
-                {
-                    name: column.astype(kind)
-                    for (name, kind), column in zip(names.items(), told.rewards.T, strict=True)
-                },
-                mask,
-            ),
-            "_rewards": mask.copy(),
-            "set": _masked(
-                {
-                    "count": seen.counts[:, 0].copy(),
-                    "overflow": seen.counts[:, 1].copy(),
-                    "ids": seen.ids.copy(),
-                },
-                mask,
-            ),
-            "_set": mask.copy(),
-        }
-
-    def _add_success(self, infos: Infos, mask: np.ndarray) -> None:
-        if name := getattr(self._engine.family, "SUCCESS", None):
-            infos["is_success"], infos["_is_success"] = infos["rewards"][name], mask.copy()
-
-    def _add_final(self, infos: Infos, ended: np.ndarray, taken: np.ndarray) -> None:
-        """What the last step of those episodes gave that have ended and begun anew."""
-        final = self._engine.final
-        observations = np.full(self.num_envs, None, object)
-        for e in np.flatnonzero(ended):
-            seen = final.seen
-            observations[e] = {
-                "ego": seen.ego[e].copy(),
-                "vehicles": seen.vehicles[e].copy(),
-                "mask": seen.mask[e].copy(),
-            }
-        final_info = self._infos(final, ended)
-        final_info["action"], final_info["_action"] = taken, ended.copy()
-        self._add_success(final_info, ended)
-        infos["final_obs"], infos["_final_obs"] = observations, ended.copy()
-        infos["final_info"], infos["_final_info"] = final_info, ended.copy()
-
-    def _told(self, infos: Infos) -> Infos:
-        """Infos of environments one by one, in the form in which the engine gives them."""
-        parts = [infos, infos["final_info"]] if "final_info" in infos else [infos]
-        for part in parts:
-            if "set" in part:
-                rows = part["set"]["ids"]
-                ids = np.full((self.num_envs, self.set_spec.max_vehicles), -1)
-                for e in np.flatnonzero(part["set"]["_ids"]):
-                    ids[e, : len(rows[e])] = rows[e]
-                part["set"]["ids"] = ids
-        return infos
 
     def _note_overflow(self) -> None:
         """Say that vehicles were left out, as ``SetObservation`` does."""
@@ -279,6 +229,52 @@ class SetVectorEnv(VectorEnv):
         warnings.warn(message, stacklevel=3)
         self._warned = True
 
+    def snapshot(self) -> bytes:
+        """Everything that the future of all environments depends on, and what was returned last.
+
+        Raises ValueError where the engine does not simulate this (``report()``).
+        """
+        return packed(self._known().arrays(), self._identity())
+
+    def restore(self, snapshot: bytes) -> tuple[dict[str, np.ndarray], Infos]:
+        """Go on where ``snapshot`` was taken; observations and infos are those of that time.
+
+        Raises ValueError, and changes nothing, for a snapshot that is damaged, of another version,
+        or of other environments.
+        """
+        engine = self._known()
+        unpack(snapshot, engine.arrays(), self._identity())
+        return self._observation(engine.now), infos_of(engine, engine.now, engine.everywhere)
+
+    def fork(self, indices: Sequence[int]) -> SetVectorEnv:
+        """A new batch of copies of some environments, as many times as asked for.
+
+        What they were last told is theirs, too; the copies go on as the originals would.
+        Raises ValueError where the engine does not simulate this (``report()``).
+        """
+        chosen = np.array([index_of(index, self.num_envs) for index in indices], np.int64)
+        if not len(chosen):
+            raise ValueError("fork: expected at least one environment")
+        other = shallow_copy(self)
+        other.__dict__.pop("observation_space", None)
+        other.__dict__.pop("action_space", None)
+        other.num_envs, other._engine = len(chosen), self._known().fork(chosen)
+        return other
+
+    def _known(self) -> Engine:
+        if self._engine is None:
+            raise ValueError(
+                "snapshot, restore and fork are the batch engine's, which does not simulate this: "
+                f"{self._reason}"
+            )
+        return self._engine
+
+    def _identity(self) -> str:
+        return repr((
+            self._task, self.num_envs, self.set_spec, self.set_spec.limits, self.autoreset_mode,
+            self._limit, VEHICLE,
+        ))  # fmt: skip
+
     def materialise(self, index: int) -> gym.Env:
         """A ``gym.make`` environment in exactly the state of environment ``index``.
 
@@ -287,7 +283,7 @@ class SetVectorEnv(VectorEnv):
         if not self._engine:
             return pickle.loads(pickle.dumps(self._envs.envs[index_of(index, self.num_envs)]))
         env = self._make_one()
-        env.reset(seed=0)
+        reset_quietly(env)
         materialise(env, self._engine.state, index_of(index, self.num_envs))
         if self._limit:
             env._elapsed_steps = int(self._engine.state.heads["elapsed"][index])  # type: ignore[attr-defined]
@@ -311,11 +307,3 @@ class SetVectorEnv(VectorEnv):
 def make_vec(base_id: str, num_envs: int = 1, **arguments: Any) -> SetVectorEnv:
     """Vector entry point of the ids."""
     return SetVectorEnv(base_id, num_envs, **arguments)
-
-
-def _masked(values: dict[str, Any], mask: np.ndarray) -> Infos:
-    """``values`` with a mask ``_name`` beside each."""
-    return {
-        key: part for name, value in values.items()
-        for key, part in ((name, value), (f"_{name}", mask.copy()))
-    }  # fmt: skip

@@ -29,6 +29,16 @@ from esc_gym.vector.generators import generator
 from esc_gym.vector.state import ROAD, SHUFFLE, State
 
 
+def reset_quietly(env: Any) -> None:
+    """Reset an environment whose observation nobody looks at: vehicles may be too many for it."""
+    kind = env.unwrapped.observation_type
+    kind._overflow = lambda count: None
+    try:
+        env.reset(seed=0)
+    finally:
+        del kind._overflow
+
+
 def materialise(env: Any, state: State, e: int) -> None:
     """Bring ``env``, just reset and with the vehicles of environment ``e``, into its state."""
     base, head = env.unwrapped, state.heads[e]
@@ -56,6 +66,22 @@ def materialise(env: Any, state: State, e: int) -> None:
     base.road.set_ids = int(head["next_id"]) - 1
 
 
+def follow_road(base: Any, state: State, e: int, vehicle: int) -> None:
+    """Let a vehicle of environment ``e``, in mid-step, change to the lane after its own.
+
+    By highway-env's own code, for routes that lead elsewhere. base: any environment of this road.
+    """
+    materialise(base, state, e)
+    record = state.vehicles[e, vehicle]
+    record["route_taken"] = 0
+    traffic = Traffic()
+    traffic.gather(base.road, Network(base.road.network), False)
+    traffic.records = state.vehicles[e]
+    traffic.follow_road(vehicle)
+    length = record["route_length"]
+    state.routes[e, vehicle, :length] = traffic.routes[vehicle, :length]
+
+
 def _make_room(base: Any, n: int) -> None:
     """Have ``n`` vehicles on the road, whatever their state."""
     vehicles = base.road.vehicles
@@ -66,7 +92,7 @@ def _make_room(base: Any, n: int) -> None:
 
 def _restore_route(item: Any, record: Any, steps: np.ndarray, network: Network) -> None:
     taken, length = int(record["route_taken"]), int(record["route_length"])
-    if taken or length:
+    if taken or length or item.route:
         item.route = [
             (*network.indexes[road][:2], None if lane == NO_LANE else int(lane))
             for road, lane in steps[taken : taken + length].tolist()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -15,6 +16,7 @@ from esc_gym.vector.generators import SIZE
 HEAD = np.dtype(
     [("time", "f8")] + [(name, "i8") for name in ("steps", "elapsed", "over", "next_id")]
 )
+HEADER = b"esc_gym snapshot 1\n"
 # Rows of ``generators``: highway-env's own, and that of the order "shuffled".
 ROAD, SHUFFLE = range(2)
 
@@ -53,21 +55,39 @@ class State:
         """Copies of some environments, as many times as asked for."""
         return State(*(array.take(indices, axis=0) for array in self.arrays()))
 
-    def to_bytes(self) -> bytes:
-        content = b"".join(array.tobytes() for array in self.arrays())
-        return hashlib.sha256(content).digest() + content
 
-    def load(self, data: bytes) -> None:
-        """Take what ``to_bytes`` gave of a state of the same shape.
+def packed(arrays: Sequence[np.ndarray], identity: str) -> bytes:
+    """The content of arrays as bytes. identity: what they are of."""
+    content = b"".join(array.tobytes() for array in arrays)
+    mark = hashlib.sha256(identity.encode()).digest()
+    return HEADER + mark + hashlib.sha256(mark + content).digest() + content
 
-        Raises ValueError, and changes nothing, if the bytes are not that.
-        """
-        digest, content = data[:32], data[32:]
-        expected = sum(array.nbytes for array in self.arrays())
-        if len(content) != expected or hashlib.sha256(content).digest() != digest:
-            raise ValueError(f"the snapshot is damaged: {len(data):,} bytes of {expected + 32:,}")
-        place = 0
-        for array in self.arrays():
-            part = np.frombuffer(content, array.dtype, array.size, place)
-            array[:] = part.reshape(array.shape)
-            place += array.nbytes
+
+def unpack(data: bytes, arrays: Sequence[np.ndarray], identity: str) -> None:
+    """Write into ``arrays`` what ``packed`` took from others of the same shapes.
+
+    Raises ValueError, and writes nothing, if the bytes are not that.
+    """
+    start = len(HEADER)
+    if data[:start] != HEADER:
+        raise ValueError(
+            f"snapshot: expected bytes that begin with {HEADER!r}, got {data[:start]!r}; it is "
+            "damaged, or of another version of esc_gym"
+        )
+    mark, digest, content = (
+        data[start : start + 32],
+        data[start + 32 : start + 64],
+        data[start + 64 :],
+    )
+    if hashlib.sha256(mark + content).digest() != digest:
+        raise ValueError(f"snapshot: damaged, {len(data):,} bytes")
+    if mark != hashlib.sha256(identity.encode()).digest():
+        raise ValueError(
+            "snapshot: of other environments; expected the same id, config, number of "
+            "environments, observation and autoreset mode"
+        )
+    place = 0
+    for array in arrays:
+        part = np.frombuffer(content, array.dtype, array.size, place)
+        array[...] = part.reshape(array.shape)
+        place += array.nbytes

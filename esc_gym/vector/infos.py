@@ -1,0 +1,66 @@
+"""The ``info`` of a batch: arrays, and beside each a mask ``_name`` of those it is of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+Infos = dict[str, Any]
+
+
+def masked(values: dict[str, Any], mask: np.ndarray) -> Infos:
+    """``values`` with a mask ``_name`` beside each."""
+    return {
+        key: part for name, value in values.items()
+        for key, part in ((name, value), (f"_{name}", mask.copy()))
+    }  # fmt: skip
+
+
+def infos_of(engine: Any, outputs: Any, mask: np.ndarray) -> Infos:
+    """What the environments of ``mask`` say of ``outputs``; the same after a reset and a step."""
+    told, seen = outputs.told, outputs.seen
+    kinds = engine.family.REWARDS.items()
+    rewards = {
+        name: column.astype(kind)
+        for (name, kind), column in zip(kinds, told.rewards.T, strict=True)
+    }
+    perceived = {
+        "count": seen.counts[:, 0].copy(),
+        "overflow": seen.counts[:, 1].copy(),
+        "ids": seen.ids.copy(),
+    }
+    parts = {"rewards": masked(rewards, mask), "set": masked(perceived, mask)}
+    return masked({"speed": told.speed.copy(), "crashed": told.crashed.copy(), **parts}, mask)
+
+
+def add_step(infos: Infos, engine: Any, actions: np.ndarray, mask: np.ndarray) -> None:
+    """What there is only after a step."""
+    if mask.any():
+        found: dict[str, Any] = {"action": actions}
+        if name := getattr(engine.family, "SUCCESS", None):
+            found["is_success"] = infos["rewards"][name]
+        infos.update(masked(found, mask))
+
+
+def add_final(infos: Infos, engine: Any, actions: np.ndarray, ended: np.ndarray) -> None:
+    """What the last step of those episodes gave that have ended and begun anew."""
+    observations = np.full(len(ended), None, object)
+    ego, vehicles, mask, *_ = engine.final.seen
+    for e in np.flatnonzero(ended):
+        parts = {"ego": ego[e], "vehicles": vehicles[e], "mask": mask[e]}
+        observations[e] = {name: part.copy() for name, part in parts.items()}
+    last = infos_of(engine, engine.final, ended)
+    add_step(last, engine, actions, ended)
+    infos.update(masked({"final_obs": observations, "final_info": last}, ended))
+
+
+def with_ids(infos: Infos, count: int, n: int) -> Infos:
+    """Gymnasium's infos of ``count`` environments, with ids [count, n] as of ``infos_of``."""
+    for part in (infos, infos.get("final_info", {})):
+        if "set" in part:
+            rows, ids = part["set"]["ids"], np.full((count, n), -1)
+            for e in np.flatnonzero(part["set"]["_ids"]):
+                ids[e, : len(rows[e])] = rows[e]
+            part["set"]["ids"] = ids
+    return infos
