@@ -31,18 +31,26 @@ from highway_env.vehicle.objects import RoadObject
 from esc_gym.fastsim import kernel, known
 from esc_gym.fastsim.engine import machine
 from esc_gym.fastsim.network import Network
-from esc_gym.fastsim.records import SAMPLE_COLUMNS
+from esc_gym.fastsim.records import SAMPLE_COLUMNS, STATE_FLOATS, STATE_INTS
 from esc_gym.fastsim.traffic import Traffic
 from esc_gym.vector import observe
 from esc_gym.vector.actions import Actions
 from esc_gym.vector.generators import generator, row
 from esc_gym.vector.kernel import RUNNING, Told, decide, observe_all
 from esc_gym.vector.objects import follow_road
-from esc_gym.vector.scenes import exits, highway, merge, roundabout, two_way, u_turn
+from esc_gym.vector.scenes import (
+    exits,
+    highway,
+    intersection,
+    merge,
+    roundabout,
+    two_way,
+    u_turn,
+)
 from esc_gym.vector.scenes.roads import ROUTE_LENGTH, Plans, behavior_ranges
 from esc_gym.vector.state import ROAD, SHUFFLE, State
 
-FAMILIES = (highway, exits, merge, roundabout, two_way, u_turn)
+FAMILIES = (highway, exits, merge, roundabout, two_way, u_turn, intersection)
 DRIVERS = (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle)
 # What of highway-env all families repeat, besides the sub-steps.
 REPEATED = known.Repeated(
@@ -134,7 +142,7 @@ class Engine:
         network, traffic = Network(base.road.network), Traffic()
         traffic.gather(base.road, network, bool(known.is_regulated(type(base.road))))
         self.network = network
-        self.template = _template(traffic, capacity_of(family, base))
+        self.template = _template(traffic, capacity_of(family, base), base.vehicle)
         items, n = len(self.template) - 1, traffic.n
         state, objects = State.empty(count, items, ROUTE_LENGTH), len(traffic.items) - n
         state.counts[:] = items - objects, items, 0, traffic.controlled(base.vehicle)
@@ -151,13 +159,20 @@ class Engine:
         lane = family.lane(base, network) if hasattr(family, "lane") else -1
         self.spec = observe.spec_of(base.observation_type, lane)
         self.links = network.links(bool(config["neighbour_vehicles_connected_lanes"]))
+        # Of roads with rules; see ``kernel.run``.
+        self.rules_every, self.patience = 0, 0.0
+        if known.is_regulated(type(base.road)):
+            self.rules_every = int(1 / self.dt / base.road.REGULATION_FREQUENCY)
+            self.patience = base.road.YIELD_DURATION * base.road.REGULATION_FREQUENCY
+        self.warm_up = family.warm_up(base) if hasattr(family, "warm_up") else 0
         self._threads, self._objects, self._asking = threads, env.unwrapped, Lock()
         self._allocate(state)
 
     def _allocate(self, state: State) -> None:
         """Room for what the environments of ``state`` return, and their shares of the threads."""
         self.state, count = state, len(state.heads)
-        space, rewards = self.env.observation_space, len(self.family.REWARDS)
+        space = self.env.observation_space
+        rewards = len(self.family.REWARDS) + len(getattr(self.family, "EXTRAS", ()))
         self.now, self.final = Outputs(space, count, rewards), Outputs(space, count, rewards)
         self.rewards, self.ends = np.zeros(count), np.zeros((count, 2), np.bool_)
         # Where the last step began a new episode in place of a step; and a mask of all.
@@ -234,38 +249,59 @@ class Engine:
             actions.speed_steps, actions.target_speeds, controls,
             actions.speed_range, first, last, frames,
         )  # fmt: skip
-        while True:
-            found = kernel.run(*scenes, self.progress, first, last, frames, self.dt, 0, 0.0)
-            if found == kernel.DONE:
-                break
-            if found == kernel.NOT_FINITE:
-                raise ValueError("a vehicle with NaN, infinite or enormous state")
-            waiting = np.flatnonzero(self.progress[first:last, kernel.RESUMED])
-            with self._asking:
-                follow_road(self._objects, state, first + int(waiting[0]), found)
+        self._run(share, frames)
         self.family.judge_all(
             *scenes, state.heads, self.constants, self.now.told.rewards, self.rewards, self.ends,
             taken, first, last, frames, self.period, self.limit,
         )  # fmt: skip
         ended: Any = self.ends.any(axis=1)
-        if self.same_step:
-            self._observe(share, self.everywhere, self.now)
-            if ended[first:last].any():
-                self.final.copy_from(self.now, slice(first, last), slice(first, last))
-                self._begin(share, ended)
-            return
-        if self.begun[first:last].any():
-            self._begin(share, self.begun)
-        self._observe(share, ~self.begun, self.now)
+        begun = self.everywhere & False if self.same_step else self.begun
+        if begun[first:last].any():
+            self._begin(share, begun)
+        self._observe(share, ~begun, self.now)
+        if hasattr(self.family, "go_on_all"):
+            self._change(share, ~begun, self.family.go_on_all)
+        if self.same_step and ended[first:last].any():
+            self.final.copy_from(self.now, slice(first, last), slice(first, last))
+            self._begin(share, ended)
+
+    def _run(self, share: Any, frames: int) -> None:
+        """Sub-steps of those environments whose ``progress`` is not there yet."""
+        first, last, scenes = share
+        waiting, state = self.progress[first:last, kernel.FRAME] < frames, self.state
+        while True:
+            found = kernel.run(
+                *scenes, self.progress, first, last, frames, self.dt, self.rules_every,
+                self.patience,
+            )  # fmt: skip
+            if found == kernel.DONE:
+                break
+            if found == kernel.NOT_FINITE:
+                raise ValueError("a vehicle with NaN, infinite or enormous state")
+            (e,) = first + np.flatnonzero(self.progress[first:last, kernel.RESUMED])
+            with self._asking:
+                follow_road(self._objects, state, int(e), found)
+        if self.rules_every:
+            state.counts[first:last, kernel.ROAD_STEPS] += np.where(waiting, frames, 0)
 
     def _begin(self, share: Any, chosen: np.ndarray) -> None:
+        """New scenes where ``chosen`` [E] says so, and what they look like."""
+        first, last, _ = share
+        self._change(share, chosen, self.family.begin_all)
+        if self.warm_up:
+            self.progress[first:last] = 0
+            self.progress[first:last, kernel.FRAME] = np.where(chosen[first:last], 0, self.warm_up)
+            self._run(share, self.warm_up)
+            self._change(share, chosen, self.family.complete_all)
+        self._observe(share, chosen, self.now)
+
+    def _change(self, share: Any, chosen: np.ndarray, change: Any) -> None:
         first, last, scenes = share
         state = self.state
-        self.family.begin_all(
+        change(
             *scenes, state.ids, state.heads, state.generators, self.template, self.constants,
             *self.behavior, self.now.told.rewards, chosen, first, last,
         )  # fmt: skip
-        self._observe(share, chosen, self.now)
 
     def _observe(self, share: Any, chosen: np.ndarray, outputs: Outputs) -> None:
         first, last, scenes = share
@@ -276,10 +312,20 @@ class Engine:
         )  # fmt: skip
 
 
-def _template(traffic: Traffic, capacity: int) -> np.ndarray:
-    """Records of a reset to begin with: of all vehicles, then the objects, then scratch."""
+def _template(traffic: Traffic, capacity: int, ego: Any) -> np.ndarray:
+    """Records of a reset to begin with: of all vehicles, then the objects, then scratch.
+
+    Where the ego is not the first, as its number changes, it is the last of the vehicles.
+    """
     n, records = traffic.n, traffic.records
-    others = np.repeat(records[n - 1 : n], max(capacity - n, 0))
-    template = np.concatenate([records[: min(n, capacity)], others, records[n:]])
+    if (place := traffic.controlled(ego)) > 0:
+        others = np.repeat(records[place - 1 : place], capacity - 1)
+        template = np.concatenate([others, records[place : place + 1], records[n:]])
+    else:
+        others = np.repeat(records[n - 1 : n], max(capacity - n, 0))
+        template = np.concatenate([records[: min(n, capacity)], others, records[n:]])
     template["collects"] = 0
+    vehicles = template[:capacity]
+    for name in set(STATE_FLOATS + STATE_INTS) - {"target_speed", "lane", "target_lane"}:
+        vehicles[name] = 0  # the reset that they were read off may have driven them already
     return template

@@ -20,17 +20,20 @@ def masked(values: dict[str, Any], mask: np.ndarray) -> Infos:
 def infos_of(engine: Any, outputs: Any, mask: np.ndarray) -> Infos:
     """What the environments of ``mask`` say of ``outputs``; the same after a reset and a step."""
     told, seen = outputs.told, outputs.seen
-    kinds = engine.family.REWARDS.items()
-    rewards = {
+    family = engine.family
+    names, extras = family.REWARDS, getattr(family, "EXTRAS", {})
+    columns = {
         name: column.astype(kind)
-        for (name, kind), column in zip(kinds, told.rewards.T, strict=True)
+        for (name, kind), column in zip((names | extras).items(), told.rewards.T, strict=True)
     }
+    rewards = {name: columns[name] for name in names}
     perceived = {
         "count": seen.counts[:, 0].copy(),
         "overflow": seen.counts[:, 1].copy(),
         "ids": seen.ids.copy(),
     }
     parts = {"rewards": masked(rewards, mask), "set": masked(perceived, mask)}
+    parts |= {name: columns[name][:, None] for name in extras}  # one agent in each
     return masked({"speed": told.speed.copy(), "crashed": told.crashed.copy(), **parts}, mask)
 
 
@@ -58,6 +61,9 @@ def add_final(infos: Infos, engine: Any, actions: np.ndarray, ended: np.ndarray)
 def with_ids(infos: Infos, count: int, n: int) -> Infos:
     """Gymnasium's infos of ``count`` environments, with ids [count, n] as of ``infos_of``."""
     for part in (infos, infos.get("final_info", {})):
+        for name in ("agents_rewards", "agents_terminated"):
+            if name in part:
+                part[name] = np.array([[0.0] if x is None else list(x) for x in part[name]])
         if "set" in part:
             rows, ids = part["set"]["ids"], np.full((count, n), -1)
             for e in np.flatnonzero(part["set"]["_ids"]):

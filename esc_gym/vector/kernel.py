@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from esc_gym.fastsim.cache import cached
-from esc_gym.fastsim.kernel import COMMAND, EGO, FRAME, ITEMS, VEHICLES, scene_of
+from esc_gym.fastsim.kernel import COMMAND, EGO, FRAME, ITEMS, ROAD_STEPS, VEHICLES, scene_of
 from esc_gym.fastsim.numerics import compiled
 from esc_gym.fastsim.records import MDP
 from esc_gym.vector.observe import Output, Spec, observe
@@ -129,8 +129,9 @@ def judging(judge: Any) -> Any:
 def beginning(reset: Any, judge: Any) -> Any:
     """New scenes in the environments that are ``chosen`` [E], by their family's ``reset``.
 
-    reset(s, ego, generator, constants, ranges, plans, lengths): makes a scene of the vehicles of
-    ``template``, and says how many there are; the objects come after them. judge: of ``judging``.
+    reset(s, ego, generator, constants, ranges, plans, lengths, template): makes a scene of the
+    vehicles of ``template``, which are there, and says how many there are; the objects come after
+    them. judge: of ``judging``.
     """
 
     @compiled
@@ -146,6 +147,7 @@ def beginning(reset: Any, judge: Any) -> Any:
             head, ego = heads[e], counts[e, EGO]
             head.time = 0.0
             head.steps = head.elapsed = head.over = head.next_id = 0
+            counts[e, ROAD_STEPS] = 0
             for i in range(ids.shape[1]):
                 ids[e, i] = -1
             for i in range(len(template)):
@@ -161,9 +163,49 @@ def beginning(reset: Any, judge: Any) -> Any:
                 if again:
                     judge(s, ego, head, -1, constants, parts[e])
                     break
-                n = reset(s, ego, generators[e, ROAD], constants, ranges, plans, lengths)
+                n = reset(s, ego, generators[e, ROAD], constants, ranges, plans, lengths, template)
                 for i in range(objects):
                     s.vehicles[n + i] = template[s.n + i]
                 counts[e, VEHICLES], counts[e, ITEMS] = n, n + objects
 
     return begin_all
+
+
+def changing(change: Any, judge: Any) -> Any:
+    """Vehicles that come and go in the environments that are ``chosen`` [E].
+
+    change(s, ego, generator, constants, ranges, plans, lengths, template, ids): does it, and says
+    (how many there are, which of them is the ego). judge: of ``judging``, for the rewards by name.
+    """
+
+    @compiled
+    def change_all(
+        vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
+        link_offset, exits, poses, widths, samples, numerics,
+        ids, heads, generators, template, constants, ranges, plans, lengths, parts, chosen,
+        first, last
+    ):  # fmt: skip
+        for e in range(first, last):
+            if not chosen[e]:
+                continue
+            for again in range(2):
+                s = scene_of(
+                    e, vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start,
+                    link_lane, link_offset, exits, poses, widths, samples, numerics,
+                )  # fmt: skip
+                if again:
+                    judge(s, counts[e, EGO], heads[e], -1, constants, parts[e])
+                    break
+                n, ego = change(
+                    s, counts[e, EGO], generators[e, ROAD], constants, ranges, plans, lengths,
+                    template, ids[e],
+                )  # fmt: skip
+                counts[e, VEHICLES], counts[e, ITEMS], counts[e, EGO] = n, n, ego
+
+    return change_all
+
+
+@compiled
+def unjudged(s, ego, head, action, constants, parts):
+    """A ``judge`` for scenes that are not ready."""
+    return 0.0, False, False

@@ -8,7 +8,7 @@ import numpy as np
 from highway_env import utils
 from highway_env.vehicle.controller import MDPVehicle
 
-from esc_gym.fastsim.kernel import ITEMS, VEHICLES
+from esc_gym.fastsim.kernel import EGO, ITEMS, ROAD_STEPS, VEHICLES
 from esc_gym.fastsim.network import Network
 from esc_gym.fastsim.records import (
     BICYCLE,
@@ -23,6 +23,7 @@ from esc_gym.fastsim.records import (
     OBSTACLE,
     SAMPLE_COLUMNS,
     TARGET_CHANGED,
+    YIELD,
 )
 from esc_gym.fastsim.traffic import Traffic
 from esc_gym.vector.generators import generator
@@ -45,13 +46,13 @@ def materialise(env: Any, state: State, e: int) -> None:
     base.np_random = base.road.np_random = generator(state.generators[e, ROAD])
     base.observation_type.rng = generator(state.generators[e, SHUFFLE])
     base.time, base.steps = float(head["time"]), int(head["steps"])
-    _make_room(base, int(state.counts[e, VEHICLES]))
+    _make_room(base, int(state.counts[e, VEHICLES]), int(state.counts[e, EGO]))
     traffic, network = Traffic(), Network(base.road.network)
     traffic.gather(base.road, network, False)
     records = state.vehicles[e, : state.counts[e, ITEMS] + 1].copy()
     records["route_taken"] = 0
     kinds = records["kind"]
-    records["changed"] = CRASH | HIT
+    records["changed"] = CRASH | HIT | (records["changed"] & YIELD)
     records["changed"][kinds < OBSTACLE] |= LANE_CHANGED | IMPACT
     records["changed"][(kinds >= CONTROLLED) & (kinds < OBSTACLE)] |= TARGET_CHANGED
     traffic.records = records
@@ -63,6 +64,8 @@ def materialise(env: Any, state: State, e: int) -> None:
     if isinstance(ego := base.vehicle, MDPVehicle):
         # Its target speed is always one of its target speeds.
         ego.speed_index = ego.target_speeds.tolist().index(ego.target_speed)
+    if hasattr(base.road, "steps"):
+        base.road.steps = int(state.counts[e, ROAD_STEPS])
     base.road.set_ids = int(head["next_id"]) - 1
 
 
@@ -82,12 +85,13 @@ def follow_road(base: Any, state: State, e: int, vehicle: int) -> None:
     state.routes[e, vehicle, :length] = traffic.routes[vehicle, :length]
 
 
-def _make_room(base: Any, n: int) -> None:
-    """Have ``n`` vehicles on the road, whatever their state."""
-    vehicles = base.road.vehicles
+def _make_room(base: Any, n: int, ego: int) -> None:
+    """Have ``n`` vehicles on the road, whatever their state, and the ego in its place."""
+    others = [vehicle for vehicle in base.road.vehicles if vehicle is not base.vehicle][: n - 1]
     driver = utils.class_from_path(base.config["other_vehicles_type"])
-    vehicles += [driver(base.road, [0.0, 0.0]) for _ in range(n - len(vehicles))]
-    del vehicles[n:]
+    while len(others) < n - 1:
+        others.append(driver(base.road, [0.0, 0.0]))
+    base.road.vehicles = [*others[:ego], base.vehicle, *others[ego:]]
 
 
 def _restore_route(item: Any, record: Any, steps: np.ndarray, network: Network) -> None:

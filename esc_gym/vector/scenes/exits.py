@@ -60,7 +60,7 @@ def constants(env: Any, network: Any) -> list[float]:
 
 
 @outlined
-def reset(s, ego, g, c, ranges, plans, lengths):
+def reset(s, ego, g, c, ranges, plans, lengths, template):
     """``ExitEnv._create_vehicles``; how many vehicles there are."""
     create_random(s, ego, g, 0, 25.0, c[SPACING], c[DENSITY])
     for i in range(1, s.n):

@@ -62,7 +62,7 @@ def constants(env: Any, network: Any) -> list[float]:
 
 
 @outlined
-def reset(s, ego, g, c, ranges, plans, lengths):
+def reset(s, ego, g, c, ranges, plans, lengths, template):
     """``HighwayEnv._create_vehicles``; how many vehicles there are."""
     lanes = s.lanes[0].count
     lane = np.int64(c[LANE]) if c[LANE] >= 0 else below(g, lanes)

@@ -104,7 +104,7 @@ def populate(s, g, c):
 
 
 @outlined
-def reset(s, ego, g, c, ranges, plans, lengths):
+def reset(s, ego, g, c, ranges, plans, lengths, template):
     """``_make_vehicles``; how many vehicles there are."""
     put(s, ego, np.int64(c[LANES]) - 1, 30.0, 30.0)
     if c[GENERIC]:

@@ -114,7 +114,7 @@ def populate(s, g, c, ranges, plans, lengths):
 
 
 @outlined
-def reset(s, ego, g, c, ranges, plans, lengths):
+def reset(s, ego, g, c, ranges, plans, lengths, template):
     """``_make_vehicles``; how many vehicles there are."""
     start = np.int64(c[START])
     along = s.lanes[start].length - 2.5 if c[GENERIC] else 125.0

@@ -42,7 +42,7 @@ def constants(env: Any, network: Any) -> list[float]:
 
 
 @outlined
-def reset(s, ego, g, c, ranges, plans, lengths):
+def reset(s, ego, g, c, ranges, plans, lengths, template):
     """``TwoWayEnv._make_vehicles``; how many vehicles there are."""
     right, oncoming = np.int64(c[RIGHT]), np.int64(c[ONCOMING])
     x, y = position(s, right, 30.0)

@@ -64,7 +64,7 @@ def constants(env: Any, network: Any) -> list[float]:
 
 
 @outlined
-def reset(s, ego, g, c, ranges, plans, lengths):
+def reset(s, ego, g, c, ranges, plans, lengths, template):
     """``UTurnEnv._make_vehicles``; how many vehicles there are."""
     x, y = position(s, int(c[START]), 0.0)
     create(s, ego, x, y, 0.0, 16.0)

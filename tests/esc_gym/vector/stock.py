@@ -38,6 +38,9 @@ def row(infos: dict[str, Any], e: int) -> dict[str, Any]:
         if name.startswith("_") or not infos[f"_{name}"][e]:
             continue
         found[name] = row(value, e) if isinstance(value, dict) else value[e]
+    for name in ("agents_rewards", "agents_terminated"):
+        if name in found:
+            found[name] = tuple(found[name].tolist())
     if "set" in found:
         kept = found["set"]["count"] - found["set"]["overflow"]
         ids = found["set"]["ids"]

@@ -52,7 +52,8 @@ SCENARIOS = {
     "exit-v0": 40, "exit-v1": 25, "merge-v0": 50, "merge-v1": 40, "merge-generic-v0": 50,
     "merge-generic-v1": 40, "two-way-v0": 40, "u-turn-v0": 40, "u-turn-v1": 40,
     "roundabout-v0": 40, "roundabout-v1": 40, "roundabout-generic-v0": 40,
-    "roundabout-generic-v1": 40,
+    "roundabout-generic-v1": 40, "intersection-v0": 50, "intersection-v1": 40,
+    "intersection-v2": 40,
 }  # fmt: skip
 
 
