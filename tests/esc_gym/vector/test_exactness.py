@@ -6,6 +6,7 @@ import pytest
 
 from tests.esc_gym.vector.stock import compare, resets
 
+
 def some_slow(names, ordinary):
     """Parameters of which all but the ordinary ones are slow."""
     marks = {name: () if name in ordinary else pytest.mark.slow for name in names}
@@ -46,7 +47,10 @@ CONFIGURATIONS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", some_slow(CONFIGURATIONS, {"dense", "dynamical", "aggressive", "discrete"}))
+ORDINARY = {"dense", "dynamical", "aggressive", "discrete"}
+
+
+@pytest.mark.parametrize("name", some_slow(CONFIGURATIONS, ORDINARY))
 def test_configurations_of_the_highway(name):
     expected = compare(
         "esc_gym/highway-v0", {**FEW, **CONFIGURATIONS[name]}, seeds=range(3), steps=16
