@@ -90,3 +90,12 @@ class Actions:
         finally:
             del own["act"]
         return float(taken["steering"]), float(taken["acceleration"])
+
+
+def sizes_of(actions: np.ndarray) -> np.ndarray:
+    """[E]: numbers of discrete actions, norms (``np.linalg.norm``) of others."""
+    if actions.ndim == 1:
+        return actions.astype(float)
+    if actions.shape[1] == 1:
+        return np.sqrt(actions[:, 0] * actions[:, 0]).astype(float)
+    return np.array([np.linalg.norm(action) for action in actions], float)

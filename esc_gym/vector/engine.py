@@ -34,7 +34,7 @@ from esc_gym.fastsim.network import Network
 from esc_gym.fastsim.records import SAMPLE_COLUMNS, STATE_FLOATS, STATE_INTS
 from esc_gym.fastsim.traffic import Traffic
 from esc_gym.vector import observe
-from esc_gym.vector.actions import Actions
+from esc_gym.vector.actions import Actions, sizes_of
 from esc_gym.vector.generators import generator, row
 from esc_gym.vector.kernel import RUNNING, Told, decide, observe_all
 from esc_gym.vector.objects import follow_road
@@ -43,6 +43,7 @@ from esc_gym.vector.scenes import (
     highway,
     intersection,
     merge,
+    racetrack,
     roundabout,
     two_way,
     u_turn,
@@ -50,7 +51,7 @@ from esc_gym.vector.scenes import (
 from esc_gym.vector.scenes.roads import ROUTE_LENGTH, Plans, behavior_ranges
 from esc_gym.vector.state import ROAD, SHUFFLE, State
 
-FAMILIES = (highway, exits, merge, roundabout, two_way, u_turn, intersection)
+FAMILIES = (highway, exits, merge, roundabout, two_way, u_turn, intersection, racetrack)
 DRIVERS = (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle)
 # What of highway-env all families repeat, besides the sub-steps.
 REPEATED = known.Repeated(
@@ -237,11 +238,13 @@ class Engine:
 
     def step(self, actions: Any) -> None:
         """One policy step of each environment. ValueError, and nothing is done, for bad actions."""
-        taken = self.actions.taken(self.actions.checked(actions, len(self.ends)))
+        actions = self.actions.checked(actions, len(self.ends))
+        taken = *self.actions.taken(actions), sizes_of(actions)
+        self.state.heads["single"] = actions.dtype == np.float32
         self.begun = self.state.heads["over"] != RUNNING
         self._share_out(self._step, *taken)
 
-    def _step(self, share: Any, taken: np.ndarray, controls: np.ndarray) -> None:
+    def _step(self, share: Any, taken: Any, controls: Any, sizes: np.ndarray) -> None:
         first, last, scenes = share
         state, actions, frames = self.state, self.actions, self.frames
         decide(
@@ -252,7 +255,7 @@ class Engine:
         self._run(share, frames)
         self.family.judge_all(
             *scenes, state.heads, self.constants, self.now.told.rewards, self.rewards, self.ends,
-            taken, first, last, frames, self.period, self.limit,
+            sizes, first, last, frames, self.period, self.limit,
         )  # fmt: skip
         ended: Any = self.ends.any(axis=1)
         begun = self.everywhere & False if self.same_step else self.begun

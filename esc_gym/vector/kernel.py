@@ -92,7 +92,8 @@ def judging(judge: Any) -> Any:
     """Rewards and ends of all environments that are RUNNING, by their family's ``judge``.
 
     judge(s, ego, head, action, constants, parts): (reward, terminated, truncated), and the rewards
-    by name into ``parts``. action: a meta-action, -1 where there are others.
+    by name into ``parts``. action: the number of a meta-action, or the norm of another; -1 at a
+    reset.
     period: of a policy step [s]. limit: policy steps until an episode is cut short, 0 for none.
     """
 
@@ -100,7 +101,7 @@ def judging(judge: Any) -> Any:
     def judge_all(
         vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
         link_offset, exits, poses, widths, samples, numerics,
-        heads, constants, parts, rewards, ends, actions, first, last, frames, period, limit
+        heads, constants, parts, rewards, ends, sizes, first, last, frames, period, limit
     ):  # fmt: skip
         for e in range(first, last):
             head = heads[e]
@@ -114,9 +115,8 @@ def judging(judge: Any) -> Any:
             head.time += period
             head.steps += frames
             head.elapsed += 1
-            action = actions[e] if e < len(actions) else -1
             reward, terminated, truncated = judge(
-                s, counts[e, EGO], head, action, constants, parts[e]
+                s, counts[e, EGO], head, sizes[e], constants, parts[e]
             )
             truncated = truncated or (limit > 0 and head.elapsed >= limit)
             rewards[e], ends[e, TERMINATED], ends[e, TRUNCATED] = reward, terminated, truncated
@@ -161,7 +161,7 @@ def beginning(reset: Any, judge: Any) -> Any:
                     link_lane, link_offset, exits, poses, widths, samples, numerics,
                 )  # fmt: skip
                 if again:
-                    judge(s, ego, head, -1, constants, parts[e])
+                    judge(s, ego, head, -1.0, constants, parts[e])
                     break
                 n = reset(s, ego, generators[e, ROAD], constants, ranges, plans, lengths, template)
                 for i in range(objects):
@@ -194,7 +194,7 @@ def changing(change: Any, judge: Any) -> Any:
                     link_lane, link_offset, exits, poses, widths, samples, numerics,
                 )  # fmt: skip
                 if again:
-                    judge(s, counts[e, EGO], heads[e], -1, constants, parts[e])
+                    judge(s, counts[e, EGO], heads[e], -1.0, constants, parts[e])
                     break
                 n, ego = change(
                     s, counts[e, EGO], generators[e, ROAD], constants, ranges, plans, lengths,

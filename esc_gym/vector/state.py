@@ -12,9 +12,9 @@ from esc_gym.fastsim.records import VEHICLE
 from esc_gym.vector.generators import SIZE
 
 # time [s], steps (sub-steps so far), elapsed (policy steps), over (see ``kernel.RUNNING``),
-# next_id (of the vehicle perceived next).
+# next_id (of the vehicle perceived next), single (the last action was in single precision).
 HEAD = np.dtype(
-    [("time", "f8")] + [(name, "i8") for name in ("steps", "elapsed", "over", "next_id")]
+    [("time", "f8")] + [(name, "i8") for name in ("steps", "elapsed", "over", "next_id", "single")]
 )
 HEADER = b"esc_gym snapshot 1\n"
 # Rows of ``generators``: highway-env's own, and that of the order "shuffled".

@@ -64,12 +64,13 @@ SCENARIOS = {
     "merge-generic-v1": 40, "two-way-v0": 40, "u-turn-v0": 40, "u-turn-v1": 40,
     "roundabout-v0": 40, "roundabout-v1": 40, "roundabout-generic-v0": 40,
     "roundabout-generic-v1": 40, "intersection-v0": 30, "intersection-v1": 30,
-    "intersection-v2": 30,
+    "intersection-v2": 30, "racetrack-v0": 60, "racetrack-v1": 60, "racetrack-large-v0": 60,
+    "racetrack-large-v1": 40, "racetrack-oval-v0": 60, "racetrack-oval-v1": 60,
 }  # fmt: skip
 # One of each family; the others are slow.
 FIRST = {
     "exit-v0", "merge-generic-v1", "two-way-v0", "u-turn-v1", "roundabout-generic-v1",
-    "intersection-v0",
+    "intersection-v0", "racetrack-oval-v1",
 }  # fmt: skip
 
 
