@@ -23,11 +23,13 @@ if TYPE_CHECKING:
         MeanExtractor as MeanExtractor,
         SetExtractor as SetExtractor,
     )
+    from esc_gym.sb3 import SetVecEnv as SetVecEnv
 
 __version__ = "0.1.0"
 
 _LAZY = {
     "adapt": "esc_gym.adaptation",
+    "SetVecEnv": "esc_gym.sb3",
     "REPRESENTATIONS": "esc_gym.encoders",
     "SetExtractor": "esc_gym.extractors",
     "ESCExtractor": "esc_gym.extractors",

@@ -58,6 +58,18 @@ def add_final(infos: Infos, engine: Any, actions: np.ndarray, ended: np.ndarray)
     infos.update(masked({"final_obs": observations, "final_info": last}, ended))
 
 
+def row(infos: Infos, e: int) -> Infos:
+    """What environment ``e`` says: the info that ``gym.make`` gives, ids without their padding."""
+    found = {}
+    for name, value in infos.items():
+        if not name.startswith("_") and infos[f"_{name}"][e]:
+            found[name] = row(value, e) if isinstance(value, dict) else value[e]
+    if "set" in found:
+        kept = found["set"]["count"] - found["set"]["overflow"]
+        found["set"]["ids"] = tuple(found["set"]["ids"][:kept].tolist())
+    return found
+
+
 def with_ids(infos: Infos, count: int, n: int) -> Infos:
     """Gymnasium's infos of ``count`` environments, with ids [count, n] as of ``infos_of``."""
     for part in (infos, infos.get("final_info", {})):

@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from esc_gym.vector import infos as infos_module
 from esc_gym.vector.environment import SetVectorEnv
 from tests.esc_gym.fastsim.lockstep import RETURNED, choose, differences, fresh_process, snapshot
 
@@ -33,20 +34,11 @@ def batch(env_id: str, count: int, config: dict[str, Any], **arguments: Any) -> 
 
 
 def row(infos: dict[str, Any], e: int) -> dict[str, Any]:
-    """The info of environment ``e``."""
-    found = {}
-    for name, value in infos.items():
-        if name.startswith("_") or not infos[f"_{name}"][e]:
-            continue
-        found[name] = row(value, e) if isinstance(value, dict) else value[e]
+    """The info of environment ``e``, as a single environment has it."""
+    found = infos_module.row(infos, e)
     for name in ("agents_rewards", "agents_terminated"):
         if name in found:
             found[name] = tuple(found[name].tolist())
-    if "set" in found:
-        kept = found["set"]["count"] - found["set"]["overflow"]
-        ids = found["set"]["ids"]
-        assert (ids[kept:] == -1).all()
-        found["set"]["ids"] = tuple(ids[:kept].tolist())
     return found
 
 
