@@ -126,23 +126,29 @@ def last_line(printed: str) -> str:
 def kills(drill: Drill, algo: str) -> str:
     """SIGKILL at random moments; resumed each time."""
     path, count, whole = drill.folder / f"{algo}-killed", drill.count, drill.whole(algo)
-    latest = 0.8 * drill.seconds[algo] / count  # so that the run does not end before the last kill
     args, done, steps = drill.new(algo, path.name), 0, set()
+    share = 0.8 / count  # the run must not end before the last kill, also if it is faster now
     while done < count and not finished(path):  # it may be killed after its last file
         with started(args) as process:
             wait_for(process, "steps into")
-            time.sleep(drill.moments.uniform(0, latest))
+            moment = time.monotonic() + drill.moments.uniform(0, share * drill.seconds[algo])
+            last = (done + 1) * share * drill.length[algo]
+            while time.monotonic() < moment and _newest(path) < last:
+                time.sleep(0.01)
             expect(process.poll() is None, f"the run ended after {done} kills: give it more steps")
             os.killpg(process.pid, signal.SIGKILL)
             done += 1
-        steps.add(max((int(p.stem) for p in in_order(path / "checkpoints")), default=0))
+        steps.add(_newest(path))
         args = ["--resume", str(path)]
     if not finished(path):
         finish(args)
     same(path, whole)
-    return (
-        f"{done} times, resumed from {len(steps)} places up to step {max(steps):,}: the same files"
-    )
+    places = f"{len(steps)} places up to step {max(steps):,}"
+    return f"{done} times, resumed from {places}: the same files"
+
+
+def _newest(path: Path) -> int:
+    return max((int(file.stem) for file in in_order(path / "checkpoints")), default=0)
 
 
 def same(path: Path, whole: Path) -> None:
@@ -330,8 +336,7 @@ def go_through(
     """Do the rows (``only`` some, if any are named) and say how each ended; those that failed."""
     failed = []
     with tempfile.TemporaryDirectory(prefix="drill-") as folder:
-        length = {"ppo": ppo_steps, "sac": sac_steps}
-        drill = Drill(Path(folder), random.Random(seed), kills, length)
+        drill = Drill(Path(folder), random.Random(seed), kills, dict(ppo=ppo_steps, sac=sac_steps))
         for name, row in ROWS.items():
             if only and name not in only:
                 continue
