@@ -9,8 +9,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 from highway_env.vehicle.behavior import IDMVehicle
 
+from esc_gym.fastsim.records import NO_LANE
 from esc_gym.vector.environment import SetVectorEnv
-from tests.esc_gym.vector.stock import batch, row
+from tests.esc_gym.vector.stock import batch, check, row, snap
 
 FAST = "esc_gym/highway-fast-v0"
 CONFIG = {"vehicles_count": 8, "duration": 6}
@@ -291,3 +292,26 @@ def test_overflow_is_said():
     envs = batch(FAST, 2, crowded, max_vehicles=2, on_overflow="error")
     with pytest.raises(OverflowError, match="max_vehicles=2"):
         envs.reset(seed=0)
+
+
+def test_a_route_that_leads_elsewhere_is_highway_envs_own_affair():
+    """In mid-step, one ``follow_road`` in Python; beside a single environment in the same state."""
+    envs = batch("esc_gym/roundabout-v0", 2, {})
+    envs.reset(seed=4)
+    env = envs.materialise(1)
+    elsewhere = ("ne", "wx", None)
+    vehicle = env.unwrapped.road.vehicles[1]
+    vehicle.route = [vehicle.route[0], elsewhere]
+    engine = envs._engine
+    record, steps = engine.state.vehicles[1, 1], engine.state.routes[1, 1]
+    record["route_length"] = 2
+    steps[record["route_taken"] + 1] = engine.network.numbers["ne", "wx", 0], NO_LANE
+    asked = []
+    for step in range(6):
+        ends = envs.step(np.array([1, 1]))[2:4]
+        env.step(1)
+        check(f"step {step}", snap(env, {}), snap(envs.materialise(1), {}))
+        asked.append(len(env.unwrapped.road.vehicles[1].route))
+        if ends[0][1] or ends[1][1]:
+            break
+    assert asked[-1] < 2  # it came to the end of its lane
