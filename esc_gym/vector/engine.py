@@ -107,7 +107,7 @@ class Outputs:
     """What E environments returned last. See ``observe.Output``, ``kernel.Told``."""
 
     def __init__(self, space: Any, count: int, rewards: int) -> None:
-        n = len(space["mask"].shape) and space["mask"].n
+        n = space["mask"].n
         self.seen = observe.Output(
             np.zeros((count, *space["ego"].shape), np.float32),
             np.zeros((count, *space["vehicles"].shape), np.float32),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
+from highway_env.envs.highway_env import HighwayEnv
 from highway_env.vehicle.behavior import IDMVehicle
 
 from esc_gym.fastsim.records import NO_LANE
@@ -212,6 +213,14 @@ def test_what_the_engine_does_not_know_runs_one_by_one(name):
     assert row(infos, 1)["set"]["ids"] == info["set"]["ids"]
     with pytest.raises(ValueError, match=f"does not simulate this: {reason}"):
         envs.unwrapped.snapshot()
+
+
+def test_replaced_code_is_not_repeated(monkeypatch):
+    monkeypatch.setattr(HighwayEnv, "_reward", lambda self, action: 7.0)
+    envs = gym.make_vec(FAST, 2, config=CONFIG).unwrapped
+    assert envs.report().reason == "code of highway-env was replaced"
+    envs.reset(seed=0)
+    assert (envs.step(np.ones(2, int))[1] == 7.0).all()
 
 
 BAD_ARGUMENTS = {
