@@ -176,14 +176,30 @@ def _check_answers(address: str) -> None:
         except OSError as error:
             raise UserError(f"--address {address}: {error.strerror or error}; {START}") from error
         check += ["--address", address]
-    while (left := deadline - time.monotonic()) > 0:
-        with suppress(subprocess.TimeoutExpired):
-            if subprocess.run(check, capture_output=True, timeout=left).returncode == 0:
-                return
+    # A Ray on a machine with a token asks for it, and ray.init gives it, but not this check.
+    known = "RAY_AUTH_MODE" in os.environ
+    modes = [os.environ] if known else [os.environ, {**os.environ, "RAY_AUTH_MODE": "token"}]
+    while deadline > time.monotonic():
+        for mode in modes:
+            left = max(deadline - time.monotonic(), 0.1)
+            with suppress(subprocess.TimeoutExpired):
+                asked = subprocess.run(check, capture_output=True, timeout=left, env=mode)
+                if asked.returncode == 0:
+                    if mode is not os.environ:
+                        _give_token()
+                    return
         if address == "auto":
             break
         time.sleep(0.2)
     raise UserError(f"--address {address}: no Ray answers; {START}")
+
+
+def _give_token() -> None:
+    """Have this process show the machine's token, as ``ray start`` has its own do."""
+    with suppress(ImportError, AttributeError):  # Rays before 2.60 have none
+        from ray._private.authentication import authentication_token_setup as setup
+
+        setup.maybe_enable_token_auth_if_token_available(warn_if_disabled=False)
 
 
 @contextmanager

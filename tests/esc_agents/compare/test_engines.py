@@ -121,6 +121,8 @@ def quiet_ray(monkeypatch):
     pytest.importorskip("ray")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
     monkeypatch.setenv("RAY_DISABLE_IMPORT_WARNING", "1")
+    # Rays of other tests leave a token in the home directory, at any time.
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
 
 
 @pytest.mark.slow
@@ -221,6 +223,8 @@ def test_an_address_where_something_else_answers(tmp_path, quiet_ray, monkeypatc
 def test_a_ray_that_listens_before_it_is_well_is_waited_for(monkeypatch):
     asked = []
 
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+
     def check(command, **options):
         asked.append(command)
         return subprocess.CompletedProcess(command, returncode=int(len(asked) < 3))
@@ -231,6 +235,23 @@ def test_a_ray_that_listens_before_it_is_well_is_waited_for(monkeypatch):
         starting.listen()
         _check_answers(f"127.0.0.1:{starting.getsockname()[1]}")
     assert len(asked) == 3
+
+
+def test_a_ray_that_wants_the_token_of_this_machine_gets_it(monkeypatch):
+    asked, given = [], []
+
+    def check(command, env, **options):
+        asked.append(env.get("RAY_AUTH_MODE"))
+        return subprocess.CompletedProcess(command, returncode=int(asked[-1] != "token"))
+
+    monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
+    monkeypatch.setattr(subprocess, "run", check)
+    monkeypatch.setattr("esc_agents.compare.engines._give_token", lambda: given.append(True))
+    with socket.socket() as ray:
+        ray.bind(("127.0.0.1", 0))
+        ray.listen()
+        _check_answers(f"127.0.0.1:{ray.getsockname()[1]}")
+    assert (asked, given) == ([None, "token"], [True])
 
 
 @pytest.mark.filterwarnings("default")
