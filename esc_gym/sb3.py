@@ -14,6 +14,78 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 from esc_gym.registration import NAMESPACE
 from esc_gym.vector.environment import SetVectorEnv
 from esc_gym.vector.infos import row
+from esc_gym.vector.measures import Measured
+
+
+class Episodes:
+    """What there is to say of the episodes of E environments, kept in arrays until they end.
+
+    count: E; frequency: of policy steps [Hz].
+    """
+
+    def __init__(self, count: int, frequency: float) -> None:
+        self.frequency = frequency
+        self.lengths = np.zeros(count, np.int64)
+        # Of every step, as means and sums depend on the order: return, speed, vehicles in the set.
+        self.series = np.zeros((3, count, 64))
+        self.progress, self.least_time = np.zeros(count), np.full(count, np.inf)
+        self.off_road, self.changes = np.zeros((2, count), np.int64)
+        self.road, self.lane = np.zeros((2, count), np.int64)
+        self.seeds: list[int | None] = [None] * count
+
+    def begin(self, e: int, seed: int | None) -> None:
+        """A new episode of environment ``e``."""
+        self.lengths[e] = self.off_road[e] = self.changes[e] = 0
+        self.progress[e], self.least_time[e], self.seeds[e] = 0.0, np.inf, seed
+
+    def note_lanes(self, chosen: Any, measured: Measured) -> None:
+        """Where the cars of some environments are, for the changes to count."""
+        self.road[chosen], self.lane[chosen] = measured.road[chosen], measured.lane[chosen]
+
+    def add(self, rewards: np.ndarray, infos: dict[str, Any], measured: Measured) -> None:
+        """A step of all environments."""
+        if self.lengths.max() == self.series.shape[2]:
+            self.series = np.concatenate([self.series, np.zeros_like(self.series)], axis=2)
+        everywhere, column = np.arange(len(self.lengths)), self.lengths
+        values = rewards, infos["speed"], infos["set"]["count"]
+        for series, value in zip(self.series, values, strict=True):
+            series[everywhere, column] = value
+        self.lengths += 1
+        self.progress += measured.along / self.frequency
+        self.off_road += ~measured.on_road
+        # Lane numbers of different roads are unrelated: only a change within one road counts.
+        self.changes += (measured.road == self.road) & (measured.lane != self.lane)
+        self.note_lanes(slice(None), measured)
+        np.minimum(self.least_time, measured.time, out=self.least_time)
+        self.crashed = infos["crashed"]
+
+    def summary(self, e: int) -> dict[str, Any]:
+        """The episode of environment ``e``, in which a step was made.
+
+        r return, l length [policy steps], crashed (0 or 1), speed (mean, m/s), progress (way made
+        along the lanes, m), off_road (share of the steps), lane_changes (count), vehicles (mean M),
+        min_ttc (least time to collision, s; inf where there was never one, or none was measured),
+        seed (of the reset; None if there was none).
+        """
+        length = int(self.lengths[e])
+        rewards, speeds, counts = self.series[:, e, :length]
+        return {
+            "r": sum(rewards.tolist()),
+            "l": length,
+            "crashed": int(self.crashed[e]),
+            "speed": float(np.mean(speeds)),
+            "progress": float(self.progress[e]),
+            "off_road": int(self.off_road[e]) / length,
+            "lane_changes": int(self.changes[e]),
+            "vehicles": float(np.mean(counts)),
+            "min_ttc": float(self.least_time[e]),
+            "seed": self.seeds[e],
+        }
+
+
+def _copied(observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Observations that the next step does not overwrite."""
+    return {name: part.copy() for name, part in observations.items()}
 
 
 class SetVecEnv(VecEnv):
@@ -26,10 +98,11 @@ class SetVecEnv(VecEnv):
         env_id: ``"esc_gym/highway-v0"``, or ``"highway-v0"`` for short.
         n_envs: how many.
         threads: that share the environments out among them; results do not depend on it.
+        collisions: also measure times to collision, ``min_ttc`` of an episode.
         arguments: of ``SetVectorEnv`` (config=, max_vehicles=, order=, ...).
 
     ``infos`` hold speed and crashed of each environment, and at the end of an episode
-    ``terminal_observation``, ``TimeLimit.truncated``, ``episode`` (r, l, t) and all that
+    ``terminal_observation``, ``TimeLimit.truncated``, ``episode`` (see ``Episodes``) and all that
     ``gym.make``'s last info holds. ``envs`` is the ``SetVectorEnv``. An attribute or a method of a
     single environment is that of a copy in the same state: calling it changes nothing here.
 
@@ -41,27 +114,40 @@ class SetVecEnv(VecEnv):
         ...             policy_kwargs={"features_extractor_class": ESCExtractor})
     """
 
-    def __init__(self, env_id: str, n_envs: int = 1, threads: int = 1, **arguments: Any) -> None:
+    def __init__(
+        self, env_id: str, n_envs: int = 1, threads: int = 1, collisions: bool = False,
+        **arguments: Any,
+    ) -> None:  # fmt: skip
         env_id = env_id if env_id.startswith(f"{NAMESPACE}/") else f"{NAMESPACE}/{env_id}"
-        arguments.setdefault("autoreset_mode", "SameStep")
-        if arguments["autoreset_mode"] != "SameStep":
+        if "autoreset_mode" in arguments:
             raise ValueError("autoreset_mode: SB3 resets in the step that ends an episode.")
+        # Reset here, after everything that there is to say of the last step.
         envs: Any = gym.make_vec(
-            env_id, n_envs, vectorization_mode="vector_entry_point", threads=threads, **arguments
-        )
+            env_id, n_envs, vectorization_mode="vector_entry_point", threads=threads, copy=False,
+            autoreset_mode="Disabled", **arguments,
+        )  # fmt: skip
         self.envs: SetVectorEnv = envs.unwrapped
+        self.collisions = collisions
         self._actions, self._start = np.empty(0), time.time()
-        self._returns, self._lengths = np.zeros(n_envs), np.zeros(n_envs, int)
+        self.episodes = Episodes(n_envs, self.envs.config["policy_frequency"])
         super().__init__(n_envs, self.envs.single_observation_space, self.envs.single_action_space)
 
     def reset(self) -> dict[str, np.ndarray]:  # type: ignore[override]
         """Reset all environments, with the seeds of ``seed()`` if it was called."""
         if any(self._options):
             raise ValueError("options: another configuration is for SetVecEnv(..., config=...).")
-        observations, infos = self.envs.reset(seed=self._seeds)
+        seeds = self._seeds
         self._reset_seeds()
-        self._returns[:], self._lengths[:] = 0.0, 0
-        self.reset_infos = [row(infos, e) for e in range(self.num_envs)]
+        self.reset_infos = [{} for _ in range(self.num_envs)]
+        return _copied(self._begin(np.ones(self.num_envs, bool), seeds))
+
+    def _begin(self, chosen: np.ndarray, seeds: Sequence[int | None]) -> dict[str, np.ndarray]:
+        """Begin new episodes where ``chosen`` says so; the observations of all environments."""
+        observations, infos = self.envs.reset(seed=seeds, options={"reset_mask": chosen})
+        for e in np.flatnonzero(chosen).tolist():
+            self.reset_infos[e] = row(infos, e)
+            self.episodes.begin(e, seeds[e])
+        self.episodes.note_lanes(chosen, self.envs.measure())
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -70,24 +156,31 @@ class SetVecEnv(VecEnv):
     def step_wait(self) -> Any:
         """(observations, rewards, dones, infos), as SB3 has them."""
         observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
-        self._returns += rewards
-        self._lengths += 1
-        dones = terminated | truncated
-        columns = infos["speed"].tolist(), infos["crashed"].tolist()
-        listed = [{"speed": speed, "crashed": bad} for speed, bad in zip(*columns, strict=True)]
+        measured = self.envs.measure(self.collisions)
+        rewards, terminated = self._judged(rewards, terminated, measured)
+        self.episodes.add(rewards, infos, measured)
+        dones, listed = terminated | truncated, self._listed(infos)
         for e in np.flatnonzero(dones).tolist():
             listed[e] = {
-                **row(infos["final_info"], e),
-                "terminal_observation": infos["final_obs"][e],
+                **row(infos, e),
+                "terminal_observation": {name: x[e].copy() for name, x in observations.items()},
                 "TimeLimit.truncated": bool(truncated[e] and not terminated[e]),
-                "episode": {
-                    "r": float(self._returns[e]),
-                    "l": int(self._lengths[e]),
-                    "t": time.time() - self._start,
-                },
+                "episode": {**self.episodes.summary(e), "t": time.time() - self._start},
             }
-        self._returns[dones], self._lengths[dones] = 0.0, 0
-        return observations, rewards.astype(np.float32), dones, listed
+        if dones.any():
+            observations = self._begin(dones, [None] * self.num_envs)
+        return _copied(observations), rewards.astype(np.float32), dones, listed
+
+    def _judged(
+        self, rewards: np.ndarray, terminated: np.ndarray, measured: Measured
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """For subclasses: other rewards and ends."""
+        return rewards, terminated
+
+    def _listed(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
+        """What each environment says of a step in mid-episode."""
+        columns = infos["speed"].tolist(), infos["crashed"].tolist()
+        return [{"speed": speed, "crashed": bad} for speed, bad in zip(*columns, strict=True)]
 
     def close(self) -> None:
         self.envs.close()

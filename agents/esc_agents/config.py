@@ -174,9 +174,9 @@ class TrainConfig(Model):
     seed: Seed = 0
     n_envs: PositiveInt = 8
     """Environments that training steps at once."""
-    vec: Literal["auto", "dummy", "subproc"] = "auto"
-    """dummy: one process for all environments; subproc: one each; auto: one process where the
-    simulation is compiled, which costs less than to send its observations."""
+    vec: Literal["auto", "batch", "dummy", "subproc"] = "auto"
+    """batch: all environments in the batch engine; dummy: as objects, one after the other; subproc:
+    in a process each; auto: what is fastest. The results are the same."""
     threads: PositiveInt = 1
     """torch's threads on the CPU; more pay for wide networks and large batches on idle cores."""
     device: str = "auto"

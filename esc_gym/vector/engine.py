@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ContinuousAction, DiscreteAction, DiscreteMetaAction
@@ -37,6 +38,7 @@ from esc_gym.vector import observe
 from esc_gym.vector.actions import Actions, sizes_of
 from esc_gym.vector.generators import generator, row
 from esc_gym.vector.kernel import RUNNING, Told, decide, observe_all
+from esc_gym.vector.measures import Measured, measure_all
 from esc_gym.vector.objects import follow_road
 from esc_gym.vector.scenes import (
     exits,
@@ -130,16 +132,17 @@ class Engine:
     """E copies of one highway-env environment with ``SetObservation``, as arrays.
 
     env: the environment, reset once; family: its entry of FAMILIES. limit: policy steps until an
-    episode is truncated, 0 for none. same_step: reset in the step that ends an episode.
+    episode is truncated, 0 for none. mode: what follows the end of an episode; DISABLED leaves
+    alone what has ended.
     """
 
     def __init__(
-        self, env: Any, family: Any, count: int, threads: int, limit: int, same_step: bool
+        self, env: Any, family: Any, count: int, threads: int, limit: int, mode: AutoresetMode
     ) -> None:
         base = env.unwrapped
         config = base.config
         self.env, self.family = env, family
-        self.limit, self.same_step = limit, same_step
+        self.limit, self.mode = limit, mode
         network, traffic = Network(base.road.network), Traffic()
         traffic.gather(base.road, network, bool(known.is_regulated(type(base.road))))
         self.network = network
@@ -148,8 +151,6 @@ class Engine:
         state, objects = State.empty(count, items, ROUTE_LENGTH), len(traffic.items) - n
         state.counts[:] = items - objects, items, 0, traffic.controlled(base.vehicle)
         state.generators[:, SHUFFLE] = row(np.random.default_rng())
-        # Of reset(seed=...); None: never reset. The seed of a reset without one is drawn.
-        self.seeds: list[int | None] = [None] * count
         self.actions = Actions(base.action_type)
         self.frames = int(config["simulation_frequency"] // config["policy_frequency"])
         self.period, self.dt = 1 / config["policy_frequency"], 1 / config["simulation_frequency"]
@@ -166,6 +167,7 @@ class Engine:
             self.rules_every = int(1 / self.dt / base.road.REGULATION_FREQUENCY)
             self.patience = base.road.YIELD_DURATION * base.road.REGULATION_FREQUENCY
         self.warm_up = family.warm_up(base) if hasattr(family, "warm_up") else 0
+        self.faulty = 0  # the environment that the last exception was about
         self._threads, self._objects, self._asking = threads, env.unwrapped, Lock()
         self._allocate(state)
 
@@ -179,6 +181,7 @@ class Engine:
         # Where the last step began a new episode in place of a step; and a mask of all.
         self.begun, self.everywhere = np.zeros(count, bool), np.ones(count, bool)
         self.progress = np.zeros((count, kernel.COMMAND + 1), np.int64)
+        self.measured = Measured.empty(count)
         threads, network = min(self._threads, count), self.network
         edges = np.linspace(0, count, threads + 1).astype(int).tolist()
         samples, numerics = np.empty((1, SAMPLE_COLUMNS)), machine()[1]
@@ -199,7 +202,6 @@ class Engine:
     def fork(self, indices: np.ndarray) -> Engine:
         """An engine of copies of some environments, as many times as asked for."""
         other = copy(self)
-        other.seeds = [self.seeds[e] for e in indices.tolist()]
         other._allocate(self.state.taken(indices))
         other.now.copy_from(self.now, slice(None), indices)
         return other
@@ -228,10 +230,11 @@ class Engine:
         begun = {
             e: seeding.np_random(seeds[e])
             for e in np.flatnonzero(mask).tolist()
-            if seeds[e] is not None or self.seeds[e] is None
+            if seeds[e] is not None or not self.state.generators[e, ROAD].any()
         }  # all of them first: a bad seed changes nothing
         for e, (generator_, seed) in begun.items():
-            self.state.generators[e, ROAD], self.seeds[e] = row(generator_), seed
+            self.state.generators[e, ROAD] = row(generator_)
+            self.state.heads["seed"][e] = seed if seed < 2**63 else -1
             if seeds[e] is not None:
                 self.state.generators[e, SHUFFLE] = row(np.random.default_rng([seed, 0x5E7]))
         self._share_out(self._begin, mask)
@@ -241,10 +244,13 @@ class Engine:
         actions = self.actions.checked(actions, len(self.ends))
         taken = *self.actions.taken(actions), sizes_of(actions)
         self.state.heads["single"] = actions.dtype == np.float32
-        self.begun = self.state.heads["over"] != RUNNING
-        self._share_out(self._step, *taken)
+        over = self.state.heads["over"] != RUNNING
+        self.begun = over & (self.mode is AutoresetMode.NEXT_STEP)
+        self._share_out(self._step, ~over, *taken)
 
-    def _step(self, share: Any, taken: Any, controls: Any, sizes: np.ndarray) -> None:
+    def _step(
+        self, share: Any, driven: np.ndarray, taken: Any, controls: Any, sizes: np.ndarray
+    ) -> None:
         first, last, scenes = share
         state, actions, frames = self.state, self.actions, self.frames
         decide(
@@ -257,14 +263,13 @@ class Engine:
             *scenes, state.heads, self.constants, self.now.told.rewards, self.rewards, self.ends,
             sizes, first, last, frames, self.period, self.limit,
         )  # fmt: skip
-        ended: Any = self.ends.any(axis=1)
-        begun = self.everywhere & False if self.same_step else self.begun
-        if begun[first:last].any():
-            self._begin(share, begun)
-        self._observe(share, ~begun, self.now)
+        if self.begun[first:last].any():
+            self._begin(share, self.begun)
+        self._observe(share, driven, self.now)
         if hasattr(self.family, "go_on_all"):
-            self._change(share, ~begun, self.family.go_on_all)
-        if self.same_step and ended[first:last].any():
+            self._change(share, driven, self.family.go_on_all)
+        ended: Any = self.ends.any(axis=1)
+        if self.mode is AutoresetMode.SAME_STEP and ended[first:last].any():
             self.final.copy_from(self.now, slice(first, last), slice(first, last))
             self._begin(share, ended)
 
@@ -280,7 +285,11 @@ class Engine:
             if found == kernel.DONE:
                 break
             if found == kernel.NOT_FINITE:
-                raise ValueError("a vehicle with NaN, infinite or enormous state")
+                left = self.progress[first:last, kernel.FRAME] < frames
+                self.faulty = first + int(np.argmax(left))
+                raise ValueError(
+                    f"environment {self.faulty}: a vehicle with NaN, infinite or enormous state"
+                )
             (e,) = first + np.flatnonzero(self.progress[first:last, kernel.RESUMED])
             with self._asking:
                 follow_road(self._objects, state, int(e), found)
@@ -313,6 +322,15 @@ class Engine:
             *scenes, state.ids, state.heads, state.generators, *self.spec, *outputs.seen,
             told.speed, told.crashed, chosen, first, last,
         )  # fmt: skip
+
+    def measure(self, collisions: bool) -> Measured:
+        """How the egos are driving; the times to collision are those of the last call with them."""
+        self._share_out(self._measure, collisions)
+        return self.measured
+
+    def _measure(self, share: Any, collisions: bool) -> None:
+        first, last, scenes = share
+        measure_all(*scenes, *self.measured, collisions, first, last)
 
 
 def _template(traffic: Traffic, capacity: int, ego: Any) -> np.ndarray:

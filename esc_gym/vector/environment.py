@@ -17,13 +17,15 @@ from gymnasium.vector.utils import batch_space
 
 from esc_gym import fastsim
 from esc_gym.fastsim.records import VEHICLE
+from esc_gym.measures import speed_along_lane, time_to_collision
 from esc_gym.registration import make
 from esc_gym.vector.arguments import at_least_one, index_of, mask_of, mode_of, seeds_of
 from esc_gym.vector.engine import Engine, family_of
 from esc_gym.vector.infos import Infos, add_final, add_step, infos_of, with_ids
-from esc_gym.vector.kernel import RUNNING, TERMINATED, TRUNCATED
+from esc_gym.vector.kernel import ENDED, RESTING, TERMINATED, TRUNCATED
+from esc_gym.vector.measures import Measured
 from esc_gym.vector.objects import materialise, reset_quietly
-from esc_gym.vector.state import packed, unpack
+from esc_gym.vector.state import HEAD, packed, unpack
 
 
 @dataclass(frozen=True)
@@ -111,16 +113,17 @@ class SetVectorEnv(VectorEnv):
             env.observation_space, env.action_space,
         )  # fmt: skip
         base: Any = env.unwrapped
-        self._task = base_id, {**base.config, "observation": None}
+        self.config = {**base.config, "observation": None}
+        self._task = base_id, self.config
         reset_quietly(env)
         accelerated = set_observation.get("accelerate", True)
         family, self._reason = family_of(base) if accelerated else (None, "accelerate=False")
         self._warned = False
-        self._engine: Any = None
+        self.engine: Any = None  # the ``Engine``, where it simulates this
         self._envs: Any = None
+        self._roads: dict[tuple[Any, Any], int] = {}  # numbers of roads, of ``measure``
         if family:
-            same_step = mode is AutoresetMode.SAME_STEP
-            self._engine = Engine(env, family, self.num_envs, threads, self._limit, same_step)
+            self.engine = Engine(env, family, self.num_envs, threads, self._limit, mode)
         else:
             self._envs = SyncVectorEnv([make_one] * self.num_envs, copy, autoreset_mode=mode)
             env.close()
@@ -135,18 +138,20 @@ class SetVectorEnv(VectorEnv):
 
     def report(self) -> Report:
         """Whether the batch engine simulates this, and if not, why."""
-        reports = () if self._engine else tuple(map(fastsim.report, self._envs.envs))
-        return Report(self._engine is not None, self._reason, reports)
+        reports = () if self.engine else tuple(map(fastsim.report, self._envs.envs))
+        return Report(self.engine is not None, self._reason, reports)
 
     @property
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """The generators of the environments; copies, drawing from them changes nothing."""
-        return self._engine.generators() if self._engine else self._envs.np_random
+        return self.engine.generators() if self.engine else self._envs.np_random
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """The seeds with which the environments began."""
-        return tuple(self._engine.seeds) if self._engine else self._envs.np_random_seed
+        """The seeds with which the environments began; -1 where it is not known."""
+        if not self.engine:
+            return self._envs.np_random_seed
+        return tuple(self.engine.state.heads["seed"].tolist())
 
     def reset(
         self,
@@ -160,7 +165,7 @@ class SetVectorEnv(VectorEnv):
         """
         options = dict(options or {})
         seeds = seeds_of(seed, self.num_envs)
-        if not self._engine:
+        if not self.engine:
             observation, infos = self._envs.reset(seed=seeds, options=options or None)
             return observation, with_ids(infos, self.num_envs, self.set_spec.max_vehicles)
         mask = mask_of(options.pop("reset_mask", None), self.num_envs)
@@ -169,9 +174,9 @@ class SetVectorEnv(VectorEnv):
                 f"options: expected nothing but 'reset_mask', got {', '.join(options)}; another "
                 "configuration is for gym.make_vec(..., config=...)."
             )
-        self._engine.reset(seeds, mask)
+        self.engine.reset(seeds, mask)
         self._note_overflow()
-        return self._observation(self._engine.now), infos_of(self._engine, self._engine.now, mask)
+        return self._observation(self.engine.now), infos_of(self.engine, self.engine.now, mask)
 
     def step(
         self, actions: Any
@@ -181,12 +186,12 @@ class SetVectorEnv(VectorEnv):
         Raises ValueError for actions of another shape, outside the action space, or not finite;
         then no environment has moved.
         """
-        if not self._engine:
+        if not self.engine:
             observation, *rest, infos = self._envs.step(actions)
             infos = with_ids(infos, self.num_envs, self.set_spec.max_vehicles)
             return observation, *rest, infos  # type: ignore[return-value]
-        engine = self._engine
-        over = engine.state.heads["over"] != RUNNING
+        engine = self.engine
+        over = engine.state.heads["over"] == ENDED
         if self.autoreset_mode is AutoresetMode.DISABLED and over.any():
             raise ValueError(
                 f"environment {int(np.argmax(over))} has ended; reset it first: "
@@ -202,7 +207,8 @@ class SetVectorEnv(VectorEnv):
             if ended.any():
                 add_final(infos, engine, taken, ended)
         else:
-            add_step(infos, engine, taken, ~engine.begun)
+            driven = ~engine.begun & (engine.state.heads["over"] != RESTING)
+            add_step(infos, engine, taken, driven)
         return (
             self._observation(engine.now), engine.rewards.copy(),
             ends[:, TERMINATED].copy(), ends[:, TRUNCATED].copy(), infos,
@@ -215,10 +221,11 @@ class SetVectorEnv(VectorEnv):
 
     def _note_overflow(self) -> None:
         """Say that vehicles were left out, as ``SetObservation`` does."""
-        counts = self._engine.now.seen.counts
+        counts = self.engine.now.seen.counts
         if self._warned or not counts[:, 1].any():
             return
         count, n = int(counts[:, 0].max()), self.set_spec.max_vehicles
+        self.engine.faulty = int(counts[:, 1].argmax())
         message = (
             f"{count} vehicles within {self.set_spec.perception_distance:g} m, but max_vehicles="
             f"{n}: the {n} nearest are kept. Raise max_vehicles to {count} or more to keep all; "
@@ -228,6 +235,30 @@ class SetVectorEnv(VectorEnv):
             raise OverflowError(message)
         warnings.warn(message, stacklevel=3)
         self._warned = True
+
+    def rest(self, mask: np.ndarray) -> None:
+        """Leave alone, from now on, the environments of ``mask`` (bool [num_envs]).
+
+        Until they are reset, a step gives their last observation again, reward 0 and no end.
+        Raises ValueError where the engine does not simulate this (``report()``).
+        """
+        self._known().state.heads["over"][mask] = RESTING
+
+    def measure(self, collisions: bool = False) -> Measured:
+        """How the cars are driving now; with ``collisions`` their times to collision, too [s]."""
+        if self.engine:
+            return self.engine.measure(collisions)
+        measured = Measured.empty(self.num_envs)
+        for e, env in enumerate(self._envs.envs):
+            base: Any = env.unwrapped
+            start, end, lane = base.vehicle.lane_index
+            road = self._roads.setdefault((start, end), len(self._roads))
+            found = speed_along_lane(base.vehicle), base.vehicle.on_road, road, lane or 0
+            for values, value in zip(measured, found, strict=False):
+                values[e] = value
+            if collisions:
+                measured.time[e] = time_to_collision(base)
+        return measured
 
     def snapshot(self) -> bytes:
         """Everything that the future of all environments depends on, and what was returned last.
@@ -258,21 +289,21 @@ class SetVectorEnv(VectorEnv):
         other = shallow_copy(self)
         other.__dict__.pop("observation_space", None)
         other.__dict__.pop("action_space", None)
-        other.num_envs, other._engine = len(chosen), self._known().fork(chosen)
+        other.num_envs, other.engine = len(chosen), self._known().fork(chosen)
         return other
 
     def _known(self) -> Engine:
-        if self._engine is None:
+        if self.engine is None:
             raise ValueError(
                 "snapshot, restore and fork are the batch engine's, which does not simulate this: "
                 f"{self._reason}"
             )
-        return self._engine
+        return self.engine
 
     def _identity(self) -> str:
         return repr((
             self._task, self.num_envs, self.set_spec, self.set_spec.limits, self.autoreset_mode,
-            self._limit, VEHICLE,
+            self._limit, VEHICLE, HEAD,
         ))  # fmt: skip
 
     def materialise(self, index: int) -> gym.Env:
@@ -280,28 +311,28 @@ class SetVectorEnv(VectorEnv):
 
         For rendering, debugging and films; stepping it changes nothing here.
         """
-        if not self._engine:
+        if not self.engine:
             return pickle.loads(pickle.dumps(self._envs.envs[index_of(index, self.num_envs)]))
         env = self._make_one()
         reset_quietly(env)
-        materialise(env, self._engine.state, index_of(index, self.num_envs))
+        materialise(env, self.engine.state, index_of(index, self.num_envs))
         if self._limit:
-            env._elapsed_steps = int(self._engine.state.heads["elapsed"][index])  # type: ignore[attr-defined]
+            env._elapsed_steps = int(self.engine.state.heads["elapsed"][index])  # type: ignore[attr-defined]
         return env
 
     def render(self) -> tuple[Any, ...] | None:
         """A frame of every environment."""
         if self.render_mode is None:
             return None
-        if not self._engine:
+        if not self.engine:
             return self._envs.render()
         return tuple(self.materialise(index).render() for index in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         if self._envs:
             self._envs.close()
-        if self._engine:
-            self._engine.close()
+        if self.engine:
+            self.engine.close()
 
 
 def make_vec(base_id: str, num_envs: int = 1, **arguments: Any) -> SetVectorEnv:

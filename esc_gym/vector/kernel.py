@@ -14,8 +14,8 @@ from esc_gym.vector.observe import Output, Spec, observe
 from esc_gym.vector.state import ROAD, SHUFFLE
 
 TERMINATED, TRUNCATED = range(2)
-# Values of ``over``.
-RUNNING, ENDED = range(2)
+# Values of ``over``; RESTING: left alone until it is reset.
+RUNNING, ENDED, RESTING = range(3)
 
 
 class Told(NamedTuple):

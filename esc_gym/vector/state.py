@@ -12,9 +12,11 @@ from esc_gym.fastsim.records import VEHICLE
 from esc_gym.vector.generators import SIZE
 
 # time [s], steps (sub-steps so far), elapsed (policy steps), over (see ``kernel.RUNNING``),
-# next_id (of the vehicle perceived next), single (the last action was in single precision).
+# next_id (of the vehicle perceived next), single (the last action was in single precision), seed
+# (of the generator; -1 if unknown).
 HEAD = np.dtype(
-    [("time", "f8")] + [(name, "i8") for name in ("steps", "elapsed", "over", "next_id", "single")]
+    [("time", "f8")]
+    + [(name, "i8") for name in ("steps", "elapsed", "over", "next_id", "single", "seed")]
 )
 HEADER = b"esc_gym snapshot 1\n"
 # Rows of ``generators``: highway-env's own, and that of the order "shuffled".
@@ -39,12 +41,14 @@ class State:
 
     @classmethod
     def empty(cls, count: int, items: int, route_length: int) -> State:
+        heads = np.zeros(count, HEAD)
+        heads["seed"] = -1
         return cls(
             np.zeros((count, items + 1), VEHICLE),
             np.zeros((count, 4), np.int64),
             np.zeros((count, items, route_length, 2), np.int64),
             np.full((count, items), -1),
-            np.zeros(count, HEAD),
+            heads,
             np.zeros((count, 2, SIZE), np.uint64),
         )
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 import os
 import signal
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any
 
@@ -56,6 +57,24 @@ def check_actions(config: TrainConfig) -> None:
         )
 
 
+def observation_arguments(config: TrainConfig, shuffle: bool = False) -> dict[str, Any]:
+    """Arguments of the run's ``SetObservation``. shuffle: permute the rows of every observation."""
+    observation = config.observation.model_dump()
+    if shuffle:
+        observation["order"] = "shuffled"
+    elif observation["order"] is None:
+        observation["order"] = "shuffled" if config.repr == "ap" else "road"
+    return observation
+
+
+@contextmanager
+def named_version() -> Iterator[None]:
+    """A run names its version: Gymnasium's advice to take a newer one would change the task."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*is out of date.*", DeprecationWarning)
+        yield
+
+
 def make_env(
     config: TrainConfig,
     *,
@@ -69,20 +88,13 @@ def make_env(
     shuffle: permute the rows of every observation. evaluation: also measure times to collision.
     rule_driver: IDM and MOBIL drive the ego.
     """
-    observation = config.observation.model_dump()
-    if shuffle:
-        observation["order"] = "shuffled"
-    elif observation["order"] is None:
-        observation["order"] = "shuffled" if config.repr == "ap" else "road"
-    with warnings.catch_warnings():
-        # The run names its version; Gymnasium's advice to take a newer one would change the task.
-        warnings.filterwarnings("ignore", ".*is out of date.*", DeprecationWarning)
+    with named_version():
         env = gym.make(
             f"{NAMESPACE}/{config.env}",
             config=env_config(config),
             render_mode=render_mode,
             disable_env_checker=True,
-            **observation,
+            **observation_arguments(config, shuffle),
         )
     if rule_driver:
         env = RuleDriver(env)

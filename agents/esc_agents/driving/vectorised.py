@@ -11,8 +11,12 @@ from typing import Any
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from esc_agents.config import TrainConfig
+from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.environments import factories, make_env
+from esc_agents.errors import UserError
 from esc_gym.fastsim import report
+from esc_gym.vector.engine import family_of
+from esc_gym.vector.objects import reset_quietly
 
 WORKERS_IMPORT = [
     "stable_baselines3.common.vec_env.subproc_vec_env",
@@ -21,14 +25,34 @@ WORKERS_IMPORT = [
 
 
 def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
-    """``count`` environments of the run, in processes of their own where that pays."""
+    """``count`` environments of the run: in the batch engine if it can, else as objects.
+
+    options: of ``make_env``. Raises UserError where the engine is asked for what it cannot do.
+    """
+    if config.vec in ("auto", "batch") and not options.get("rule_driver"):
+        if not (reason := unknown_to_engine(config)):
+            return BatchVecEnv(config, count, **options)
+        if config.vec == "batch":
+            raise UserError(
+                f"vec: batch: the batch engine does not simulate this {config.env}: {reason}; "
+                "auto takes what is fastest here, with the same results"
+            )
     made = factories(config, count, **options)
-    if config.vec == "dummy" or (config.vec == "auto" and not _worth_processes(config, count)):
+    if config.vec != "subproc" and not (config.vec == "auto" and _worth_processes(config, count)):
         return DummyVecEnv(made)
     if "forkserver" in multiprocessing.get_all_start_methods():
         # Workers are forked off a process that has imported all this, instead of each importing.
         multiprocessing.get_context("forkserver").set_forkserver_preload(WORKERS_IMPORT)
     return SubprocVecEnv(made)
+
+
+def unknown_to_engine(config: TrainConfig) -> str:
+    """Why the batch engine does not simulate a run's environments; "" if it does."""
+    if not config.observation.accelerate:
+        return "observation.accelerate is false"
+    env: Any = make_env(config)
+    reset_quietly(env)
+    return family_of(env.unwrapped)[1]
 
 
 def _worth_processes(config: TrainConfig, count: int) -> bool:

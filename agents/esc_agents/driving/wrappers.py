@@ -6,22 +6,16 @@ import pickle
 import random
 import time
 from collections.abc import Sequence
-from math import cos, isfinite
+from math import isfinite
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
-from esc_agents.driving.time_to_collision import time_to_collision
+from esc_gym.measures import speed_along_lane, time_to_collision
+from esc_gym.observation_type import SetSpec
 
 REFERENCE_SPEED = 30.0  # m/s; ``progress_reward`` is paid for this much along the lane
-
-
-def speed_along_lane(vehicle: Any) -> float:
-    """What of a vehicle's speed brings it on along its lane [m/s]."""
-    longitudinal, _ = vehicle.lane.local_coordinates(vehicle.position)
-    return vehicle.speed * cos(vehicle.heading - vehicle.lane.heading_at(longitudinal))
 
 
 class Progress(gym.Wrapper):
@@ -196,20 +190,20 @@ class Worker(gym.Wrapper):
         return {name: np.zeros(space.shape, space.dtype) for name, space in spaces.items()}
 
     def _check(self, observation: Any, reward: float, info: dict[str, Any]) -> None:
-        for name in ("ego", "vehicles"):
-            finite = np.isfinite(observation[name])
-            if not finite.all():
-                first = np.argwhere(~finite)[0]
-                value = observation[name][tuple(first)]
-                raise ValueError(f"{self._place(name, first, info)} is {value}")
-        if not isfinite(reward):
-            raise ValueError(f"the reward is {reward}")
+        spec, ids = self.get_wrapper_attr("set_spec"), info.get("set", {}).get("ids", ())
+        if found := not_finite(observation, reward, spec, ids):
+            raise ValueError(found)
 
-    def _place(self, name: str, index: NDArray, info: dict[str, Any]) -> str:
-        spec = self.get_wrapper_attr("set_spec")
-        if name == "ego":
-            return f"{spec.ego_features[index[0]]!r} of the ego"
-        row, column = index
-        ids = info.get("set", {}).get("ids", ())
-        vehicle = f" (id {ids[row]})" if row < len(ids) else ""
-        return f"{spec.features[column]!r} of vehicle {row}{vehicle}"
+
+def not_finite(observation: Any, reward: float, spec: SetSpec, ids: Sequence[int]) -> str:
+    """What of a step is NaN or infinite, in words; "" if nothing is. ids: of the vehicles."""
+    for name, columns in (("ego", spec.ego_features), ("vehicles", spec.features)):
+        finite = np.isfinite(observation[name])
+        if not finite.all():
+            place = tuple(np.argwhere(~finite)[0].tolist())
+            whose = "the ego"
+            if name == "vehicles":
+                number = f" (id {ids[place[0]]})" if place[0] < len(ids) else ""
+                whose = f"vehicle {place[0]}{number}"
+            return f"{columns[place[-1]]!r} of {whose} is {observation[name][place]}"
+    return "" if isfinite(reward) else f"the reward is {reward}"

@@ -24,6 +24,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from esc_agents import files, strangers
+from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.wrappers import generators, set_generators
 from esc_agents.errors import UserError
 
@@ -48,7 +49,7 @@ def capture(model: BaseAlgorithm, callbacks: Sequence[BaseCallback]) -> bytes:
             "logged": [model.logger.name_to_value, model.logger.name_to_count,
                        model.logger.name_to_excluded],
             "callbacks": [getattr(callback, "state", None) for callback in callbacks],
-            "envs": envs.env_method("state"),
+            "envs": envs.state() if isinstance(envs, BatchVecEnv) else envs.env_method("state"),
             "random": _generators(),
         },
         pickle.HIGHEST_PROTOCOL,
@@ -63,9 +64,26 @@ def restore(
     model = algorithm.__new__(algorithm)
     vars(model).update(found["model"], _custom_logger=False, _vec_normalize_env=None)
     model.set_env(envs, force_reset=False)
-    for index, env in enumerate(found["envs"]):
-        envs.env_method("restore", env, indices=index)
+    _restore_environments(envs, found["envs"])
     return model, found
+
+
+def _restore_environments(envs: Any, state: Any) -> None:
+    """state: bytes of a batch, or of each environment.
+
+    Raises UserError where it is of the other kind.
+    """
+    if isinstance(envs, BatchVecEnv) != isinstance(state, bytes):
+        where = "in the batch engine" if isinstance(state, bytes) else "as objects"
+        raise UserError(
+            f"the environments of this checkpoint were simulated {where}, which they are not here; "
+            "continue it with the versions that wrote it"
+        )
+    if isinstance(state, bytes):
+        envs.restore(state)
+        return
+    for index, env in enumerate(state):
+        envs.env_method("restore", env, indices=index)
 
 
 def resume(model: BaseAlgorithm, found: dict[str, Any], callbacks: Sequence[BaseCallback]) -> None:

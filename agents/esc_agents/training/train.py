@@ -129,6 +129,8 @@ def _model(
     torch.set_num_threads(config.threads)
     try:
         return checkpoint.restore(state, ALGORITHMS[config.algo], envs)
+    except UserError:
+        raise
     except Exception as error:  # what unpickling old classes can raise is anybody's guess
         raise UserError(
             f"the checkpoint of {resume} does not load with the versions installed here (those of "

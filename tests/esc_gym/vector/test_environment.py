@@ -311,7 +311,7 @@ def test_a_route_that_leads_elsewhere_is_highway_envs_own_affair():
     elsewhere = ("ne", "wx", None)
     vehicle = env.unwrapped.road.vehicles[1]
     vehicle.route = [vehicle.route[0], elsewhere]
-    engine = envs._engine
+    engine = envs.engine
     record, steps = engine.state.vehicles[1, 1], engine.state.routes[1, 1]
     record["route_length"] = 2
     steps[record["route_taken"] + 1] = engine.network.numbers["ne", "wx", 0], NO_LANE

@@ -1,9 +1,15 @@
-"""Time to collision, the usual measure of how near a drive came to an accident."""
+"""How the ego is driving, measured on highway-env's objects: ``vector.measures`` on records."""
 
 from __future__ import annotations
 
 from math import cos, inf, sin
 from typing import Any
+
+
+def speed_along_lane(vehicle: Any) -> float:
+    """What of a vehicle's speed brings it on along its lane [m/s]."""
+    longitudinal, _ = vehicle.lane.local_coordinates(vehicle.position)
+    return vehicle.speed * cos(vehicle.heading - vehicle.lane.heading_at(longitudinal))
 
 
 def time_to_collision(env: Any) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from esc_agents.driving.time_to_collision import time_to_collision
+from esc_gym.measures import time_to_collision
 
 
 def car(x, y, speed=0.0, heading=0.0, solid=True):
