@@ -16,7 +16,7 @@ from esc_gym.sb3 import SetVecEnv
 from esc_gym.vector.infos import row
 from esc_gym.vector.measures import Measured
 
-SHARE = 16  # environments that are worth a thread
+SHARE = 4  # environments that are worth a thread
 
 
 class BatchVecEnv(SetVecEnv):

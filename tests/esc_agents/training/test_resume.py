@@ -81,15 +81,24 @@ MOMENTS = {
 
 @pytest.mark.parametrize("algo", ["ppo", "sac"])
 @pytest.mark.parametrize("moment", MOMENTS)
-def test_killed_and_resumed(algo, moment, whole, tmp_path, monkeypatch):
+@pytest.mark.parametrize("vec", ["dummy", "batch"])
+def test_killed_and_resumed(vec, algo, moment, whole, tmp_path, monkeypatch):
+    """In the batch engine too, whose runs end as those of environments one by one."""
     path, call = MOMENTS[moment]
     owner, _, name = path.rpartition(".")
     kill(monkeypatch, pkgutil.resolve_name(owner), name, call)
     with pytest.raises(Killed):
-        train(config(algo, run_dir=tmp_path / "run"))
+        train(config(algo, vec=vec, run_dir=tmp_path / "run"))
     monkeypatch.undo()
     assert train(run_directory.open_run(tmp_path / "run"), resume=tmp_path / "run")
     assert_same(whole(algo), tmp_path / "run")
+
+
+def test_a_checkpoint_of_the_other_kind(own_run):
+    """Written by environments one by one, read by a batch."""
+    config = run_directory.open_run(own_run).model_copy(update={"steps": 64, "vec": "batch"})
+    with pytest.raises(UserError, match="were simulated as objects, which they are not here"):
+        train(config, resume=own_run)
 
 
 @pytest.mark.parametrize("algo", ["ppo", "sac"])
