@@ -42,12 +42,12 @@ class Episodes:
         """Where the cars of some environments are, for the changes to count."""
         self.road[chosen], self.lane[chosen] = measured.road[chosen], measured.lane[chosen]
 
-    def add(self, rewards: np.ndarray, infos: dict[str, Any], measured: Measured) -> None:
+    def add(self, rewards: np.ndarray, counts: np.ndarray, measured: Measured) -> None:
         """A step of all environments."""
         if self.lengths.max() == self.series.shape[2]:
             self.series = np.concatenate([self.series, np.zeros_like(self.series)], axis=2)
         everywhere, column = np.arange(len(self.lengths)), self.lengths
-        values = rewards, infos["speed"], infos["set"]["count"]
+        values = rewards, measured.speed, counts
         for series, value in zip(self.series, values, strict=True):
             series[everywhere, column] = value
         self.lengths += 1
@@ -57,7 +57,7 @@ class Episodes:
         self.changes += (measured.road == self.road) & (measured.lane != self.lane)
         self.note_lanes(slice(None), measured)
         np.minimum(self.least_time, measured.time, out=self.least_time)
-        self.crashed = infos["crashed"]
+        self.crashed = measured.crashed.copy()
 
     def summary(self, e: int) -> dict[str, Any]:
         """The episode of environment ``e``, in which a step was made.
@@ -158,8 +158,8 @@ class SetVecEnv(VecEnv):
         observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
         measured = self.envs.measure(self.collisions)
         rewards, terminated = self._judged(rewards, terminated, measured)
-        self.episodes.add(rewards, infos, measured)
-        dones, listed = terminated | truncated, self._listed(infos)
+        self.episodes.add(rewards, infos["set"]["count"], measured)
+        dones, listed = terminated | truncated, self._listed(infos, measured)
         for e in np.flatnonzero(dones).tolist():
             listed[e] = {
                 **row(infos, e),
@@ -177,9 +177,9 @@ class SetVecEnv(VecEnv):
         """For subclasses: other rewards and ends."""
         return rewards, terminated
 
-    def _listed(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
+    def _listed(self, infos: dict[str, Any], measured: Measured) -> list[dict[str, Any]]:
         """What each environment says of a step in mid-episode."""
-        columns = infos["speed"].tolist(), infos["crashed"].tolist()
+        columns = measured.speed.tolist(), measured.crashed.tolist()
         return [{"speed": speed, "crashed": bad} for speed, bad in zip(*columns, strict=True)]
 
     def close(self) -> None:

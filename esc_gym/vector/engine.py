@@ -44,7 +44,9 @@ from esc_gym.vector.scenes import (
     exits,
     highway,
     intersection,
+    lane_keeping,
     merge,
+    parking,
     racetrack,
     roundabout,
     two_way,
@@ -53,7 +55,10 @@ from esc_gym.vector.scenes import (
 from esc_gym.vector.scenes.roads import ROUTE_LENGTH, Plans, behavior_ranges
 from esc_gym.vector.state import ROAD, SHUFFLE, State
 
-FAMILIES = (highway, exits, merge, roundabout, two_way, u_turn, intersection, racetrack)
+FAMILIES = (
+    highway, exits, merge, roundabout, two_way, u_turn, intersection, racetrack, parking,
+    lane_keeping,
+)  # fmt: skip
 DRIVERS = (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle)
 # What of highway-env all families repeat, besides the sub-steps.
 REPEATED = known.Repeated(
@@ -158,8 +163,9 @@ class Engine:
         plans = Plans(base.road, network, getattr(family, "DESTINATIONS", ()))
         self.constants = np.array(family.constants(base, network), float)
         self.behavior = behavior_ranges(driver), plans.steps, plans.lengths
-        lane = family.lane(base, network) if hasattr(family, "lane") else -1
-        self.spec = observe.spec_of(base.observation_type, lane)
+        if hasattr(family, "lane"):
+            state.heads["lane"] = family.lane(base, network)
+        self.spec = observe.spec_of(base.observation_type)
         self.links = network.links(bool(config["neighbour_vehicles_connected_lanes"]))
         # Of roads with rules; see ``kernel.run``.
         self.rules_every, self.patience = 0, 0.0
@@ -258,6 +264,9 @@ class Engine:
             actions.speed_steps, actions.target_speeds, controls,
             actions.speed_range, first, last, frames,
         )  # fmt: skip
+        if hasattr(self.family, "prepare_all"):
+            self.family.prepare_all(*scenes, state.heads, self.constants, first, last)
+            self._observe(share, driven, self.now)
         self._run(share, frames)
         self.family.judge_all(
             *scenes, state.heads, self.constants, self.now.told.rewards, self.rewards, self.ends,
@@ -265,7 +274,8 @@ class Engine:
         )  # fmt: skip
         if self.begun[first:last].any():
             self._begin(share, self.begun)
-        self._observe(share, driven, self.now)
+        if not hasattr(self.family, "prepare_all"):
+            self._observe(share, driven, self.now)
         if hasattr(self.family, "go_on_all"):
             self._change(share, driven, self.family.go_on_all)
         ended: Any = self.ends.any(axis=1)

@@ -199,10 +199,12 @@ class SetVectorEnv(VectorEnv):
             )
         engine.step(actions)
         self._note_overflow()
-        infos = infos_of(engine, engine.now, engine.everywhere)
         ends = engine.ends.copy()
         ended, taken = ends.any(axis=1), np.array(actions)
-        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+        same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
+        reset = ended if same_step else engine.begun
+        infos = infos_of(engine, engine.now, engine.everywhere, reset)
+        if same_step:
             add_step(infos, engine, taken, ~ended)
             if ended.any():
                 add_final(infos, engine, taken, ended)
@@ -253,7 +255,8 @@ class SetVectorEnv(VectorEnv):
             base: Any = env.unwrapped
             start, end, lane = base.vehicle.lane_index
             road = self._roads.setdefault((start, end), len(self._roads))
-            found = speed_along_lane(base.vehicle), base.vehicle.on_road, road, lane or 0
+            ego = base.vehicle
+            found = ego.speed, ego.crashed, speed_along_lane(ego), ego.on_road, road, lane
             for values, value in zip(measured, found, strict=False):
                 values[e] = value
             if collisions:

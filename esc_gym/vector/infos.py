@@ -17,29 +17,38 @@ def masked(values: dict[str, Any], mask: np.ndarray) -> Infos:
     }  # fmt: skip
 
 
-def infos_of(engine: Any, outputs: Any, mask: np.ndarray) -> Infos:
-    """What the environments of ``mask`` say of ``outputs``; the same after a reset and a step."""
+def infos_of(engine: Any, outputs: Any, mask: np.ndarray, reset: np.ndarray | None = None) -> Infos:
+    """What the environments of ``mask`` say of ``outputs``, those of ``reset`` after a reset.
+
+    By default all are: only families that are SILENT say less after a step.
+    """
     told, seen = outputs.told, outputs.seen
     family = engine.family
-    names, extras = family.REWARDS, getattr(family, "EXTRAS", {})
-    columns = {
-        name: column.astype(kind)
-        for (name, kind), column in zip((names | extras).items(), told.rewards.T, strict=True)
-    }
-    rewards = {name: columns[name] for name in names}
+    speaking = mask if reset is None or not hasattr(family, "SILENT") else reset
     perceived = {
         "count": seen.counts[:, 0].copy(),
         "overflow": seen.counts[:, 1].copy(),
         "ids": seen.ids.copy(),
     }
-    parts = {"rewards": masked(rewards, mask), "set": masked(perceived, mask)}
-    parts |= {name: columns[name][:, None] for name in extras}  # one agent in each
-    return masked({"speed": told.speed.copy(), "crashed": told.crashed.copy(), **parts}, mask)
+    infos = masked({"set": masked(perceived, mask)}, mask)
+    if speaking.any():
+        parts = {"speed": told.speed.copy(), "crashed": told.crashed.copy()}
+        names, extras = family.REWARDS, getattr(family, "EXTRAS", {})
+        columns = {
+            name: column.astype(kind)
+            for (name, kind), column in zip((names | extras).items(), told.rewards.T, strict=True)
+        }
+        if names:
+            parts["rewards"] = masked({name: columns[name] for name in names}, speaking)
+        for name in extras:  # one agent in each
+            parts[name] = columns[name][:, None] if name.startswith("agents_") else columns[name]
+        infos |= masked(parts, speaking)
+    return infos
 
 
 def add_step(infos: Infos, engine: Any, actions: np.ndarray, mask: np.ndarray) -> None:
     """What there is only after a step."""
-    if mask.any():
+    if mask.any() and not hasattr(engine.family, "SILENT"):
         found: dict[str, Any] = {"action": actions}
         if name := getattr(engine.family, "SUCCESS", None):
             found["is_success"] = infos["rewards"][name]
@@ -53,7 +62,7 @@ def add_final(infos: Infos, engine: Any, actions: np.ndarray, ended: np.ndarray)
     for e in np.flatnonzero(ended):
         parts = {"ego": ego[e], "vehicles": vehicles[e], "mask": mask[e]}
         observations[e] = {name: part.copy() for name, part in parts.items()}
-    last = infos_of(engine, engine.final, ended)
+    last = infos_of(engine, engine.final, ended, ~engine.everywhere)
     add_step(last, engine, actions, ended)
     infos.update(masked({"final_obs": observations, "final_info": last}, ended))
 

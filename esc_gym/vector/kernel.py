@@ -83,7 +83,7 @@ def observe_all(
             )  # fmt: skip
             me, head = counts[e, EGO], heads[e]
             head.next_id = observe(
-                s, me, e, spec, generators[e, SHUFFLE], ids[e], head.next_id, out
+                s, me, e, spec, generators[e, SHUFFLE], ids[e], head.lane, head.next_id, out
             )
             speed[e], crashed[e] = s.vehicles[me].speed, s.vehicles[me].crashed
 
@@ -164,8 +164,9 @@ def beginning(reset: Any, judge: Any) -> Any:
                     judge(s, ego, head, -1.0, constants, parts[e])
                     break
                 n = reset(s, ego, generators[e, ROAD], constants, ranges, plans, lengths, template)
-                for i in range(objects):
-                    s.vehicles[n + i] = template[s.n + i]
+                if n < s.n:
+                    for i in range(objects):
+                        s.vehicles[n + i] = template[s.n + i]
                 counts[e, VEHICLES], counts[e, ITEMS] = n, n + objects
 
     return begin_all

@@ -16,10 +16,13 @@ from esc_gym.vector.scenes.roads import on_road
 class Measured(NamedTuple):
     """How E egos are driving.
 
-    along [E]: what of the speed brings it on along its lane [m/s]; on_road [E]; road, lane [E]: the
-    lane it is on, a road by a number of ours; time [E]: to collision [s], inf for never.
+    speed [E] and what of it brings one on along the lane, along [E] [m/s]; crashed, on_road [E];
+    road, lane [E]: the lane it is on, a road by a number of ours; time [E]: to collision [s], inf
+    for never.
     """
 
+    speed: np.ndarray
+    crashed: np.ndarray
     along: np.ndarray
     on_road: np.ndarray
     road: np.ndarray
@@ -29,8 +32,8 @@ class Measured(NamedTuple):
     @classmethod
     def empty(cls, count: int) -> Measured:
         return cls(
-            np.zeros(count), np.zeros(count, bool), np.zeros(count, np.int64),
-            np.zeros(count, np.int64), np.full(count, np.inf),
+            np.zeros(count), np.zeros(count, bool), np.zeros(count), np.zeros(count, bool),
+            np.zeros(count, np.int64), np.zeros(count, np.int64), np.full(count, np.inf),
         )  # fmt: skip
 
 
@@ -38,7 +41,7 @@ class Measured(NamedTuple):
 def measure_all(
     vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
     link_offset, exits, poses, widths, samples, numerics,
-    along, is_on_road, road, lane, time, collisions, first, last
+    speed, crashed, along, is_on_road, road, lane, time, collisions, first, last
 ):  # fmt: skip
     """``Measured`` of the environments ``first`` to ``last`` - 1; time only with ``collisions``."""
     for e in range(first, last):
@@ -48,6 +51,7 @@ def measure_all(
         )  # fmt: skip
         ego = counts[e, EGO]
         me = s.vehicles[ego]
+        speed[e], crashed[e] = me.speed, me.crashed
         along[e] = speed_along_lane(s, ego)
         is_on_road[e] = on_road(s, ego)
         road[e], lane[e] = s.lanes[me.lane].road, s.lanes[me.lane].id

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from highway_env import utils
+from highway_env.envs.lane_keeping_env import LaneKeepingEnv
 from highway_env.vehicle.controller import MDPVehicle
 
 from esc_gym.fastsim.kernel import EGO, ITEMS, ROAD_STEPS, VEHICLES
@@ -17,6 +18,7 @@ from esc_gym.fastsim.records import (
     HIT,
     IDM,
     IMPACT,
+    LANDMARK,
     LANE_CHANGED,
     LINEAR,
     NO_LANE,
@@ -53,7 +55,8 @@ def materialise(env: Any, state: State, e: int) -> None:
     records["route_taken"] = 0
     kinds = records["kind"]
     records["changed"] = CRASH | HIT | (records["changed"] & YIELD)
-    records["changed"][kinds < OBSTACLE] |= LANE_CHANGED | IMPACT
+    records["changed"] |= LANE_CHANGED
+    records["changed"][kinds < OBSTACLE] |= IMPACT
     records["changed"][(kinds >= CONTROLLED) & (kinds < OBSTACLE)] |= TARGET_CHANGED
     traffic.records = records
     traffic.scatter(np.empty((0, SAMPLE_COLUMNS)))
@@ -64,6 +67,10 @@ def materialise(env: Any, state: State, e: int) -> None:
     if isinstance(ego := base.vehicle, MDPVehicle):
         # Its target speed is always one of its target speeds.
         ego.speed_index = ego.target_speeds.tolist().index(ego.target_speed)
+    if isinstance(base, LaneKeepingEnv):
+        lanes = [network.lanes[network.numbers[index]] for index in (("c", "d", 0), ("a", "b", 0))]
+        base.lane = network.lanes[head["lane"]]
+        base.lanes = lanes[lanes.index(base.lane) + 1 :]
     if hasattr(base.road, "steps"):
         base.road.steps = int(state.counts[e, ROAD_STEPS])
     base.road.set_ids = int(head["next_id"]) - 1
@@ -118,6 +125,8 @@ def _restore(item: Any, record: Any, number: int) -> None:
             values = np.array([record[f"{of}_{index}"] for index in range(count)])
             if (values != getattr(item, f"{name}_PARAMETERS")).any():
                 d[f"{name}_PARAMETERS"] = values
+    if kind == LANDMARK:
+        item.position[:], item.heading = (record["x"], record["y"]), record["heading"]
     if kind == BICYCLE:
         d["lateral_speed"], d["yaw_rate"] = record["lateral_speed"], record["yaw_rate"]
     d.pop("set_id", None)

@@ -25,16 +25,17 @@ X, Y, VX, VY, COS_H, SIN_H, IS_OBSTACLE, LENGTH, WIDTH, COS_D, SIN_D = range(11)
 EGO_COLUMNS = (
     "speed", "lat_off", "cos_lane", "sin_lane", "lanes_left", "lanes_right", "speed_limit",
     "target_speed", "target_lat_off", "lateral_speed", "yaw_rate", "dest_x", "dest_y",
-    "exit_x", "exit_y", "ref_lat_off", "ref_cos", "ref_sin",
+    "exit_x", "exit_y", "ref_lat_off", "ref_cos", "ref_sin", "goal_x", "goal_y", "goal_cos_h",
+    "goal_sin_h",
 )  # fmt: skip
 (
     SPEED, LAT_OFF, COS_LANE, SIN_LANE, LANES_LEFT, LANES_RIGHT, SPEED_LIMIT, TARGET_SPEED,
     TARGET_LAT_OFF, LATERAL_SPEED, YAW_RATE, DEST_X, DEST_Y, EXIT_X, EXIT_Y, REF_LAT_OFF, REF_COS,
-    REF_SIN,
-) = range(18)  # fmt: skip
+    REF_SIN, GOAL_X, GOAL_Y, GOAL_COS_H, GOAL_SIN_H,
+) = range(22)  # fmt: skip
 ORDERS, ROAD, SHUFFLED, DISTANCE = ("road", "shuffled", "distance"), 0, 1, 2
-# Entries of ``rules``; LANE is that of exit_x and ref_lat_off, or -1.
-ORDER, BODY_FRAME, VIRTUAL, LANE = range(4)
+# Entries of ``rules``.
+ORDER, BODY_FRAME, VIRTUAL = range(3)
 
 
 class Spec(NamedTuple):
@@ -87,10 +88,10 @@ def unknown(kind: Any) -> str:
 _TABLES = {VEHICLE_COLUMNS: dict(VEHICLE_FEATURES), EGO_COLUMNS: dict(EGO_FEATURES)}
 
 
-def spec_of(kind: Any, lane: int = -1) -> Spec:
+def spec_of(kind: Any) -> Spec:
     """The ``Spec`` of a ``SetObservationType``."""
     spec, rows, ego = kind.spec, kind.rows, kind.ego
-    rules = ORDERS.index(spec.order), spec.frame == "ego", spec.empty == "virtual", lane
+    rules = ORDERS.index(spec.order), spec.frame == "ego", spec.empty == "virtual"
     return Spec(
         spec.perception_distance,
         np.array(rules, np.int64),
@@ -236,6 +237,14 @@ def ego_value(s, view, ego, what, lane):
         routed, x, y = destination(s, ego)
         dx, dy = (x - view.x, y - view.y) if routed else (0.0, 0.0)
         return forward(view, dx, dy) if what == DEST_X else right(view, dx, dy)
+    if what >= GOAL_X:
+        goal = s.vehicles[s.n]
+        if what == GOAL_X:
+            return forward(view, goal.x - view.x, goal.y - view.y)
+        if what == GOAL_Y:
+            return right(view, goal.x - view.x, goal.y - view.y)
+        c, n = libm_of(s.np.libm_cos, goal.heading), libm_of(s.np.libm_sin, goal.heading)
+        return forward(view, c, n) if what == GOAL_COS_H else right(view, c, n)
     longitudinal, lateral = local_coordinates(s, lane, me.x, me.y)
     if what == EXIT_X:
         return longitudinal
@@ -285,10 +294,11 @@ def nearest(near, squares, count, kept):
 
 
 @outlined
-def observe(s, ego, e, spec, order_generator, ids, next_id, out):
+def observe(s, ego, e, spec, order_generator, ids, lane, next_id, out):
     """The observation of environment ``e`` into row e of ``out``; the next free id.
 
     ids [m]: the number by which each vehicle is known since it was first perceived, -1 before.
+    lane: that of exit_x and ref_lat_off.
     """
     view = view_of(s, ego, spec.rules[BODY_FRAME])
     near, squares = np.zeros(s.m, np.int64), np.empty(s.m)
@@ -319,7 +329,7 @@ def observe(s, ego, e, spec, order_generator, ids, next_id, out):
             out.vehicles[e, 0, column] = spec.virtual[column]
     out.counts[e, 0], out.counts[e, 1] = count, count - kept
     for column in range(len(spec.ego_columns)):
-        value = ego_value(s, view, ego, spec.ego_columns[column], spec.rules[LANE])
+        value = ego_value(s, view, ego, spec.ego_columns[column], lane)
         value = (value - spec.ego_center[column]) / spec.ego_half[column]
         if value > 1.0 or value < -1.0:
             value = copysign(1.0, value)

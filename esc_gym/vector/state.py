@@ -12,11 +12,12 @@ from esc_gym.fastsim.records import VEHICLE
 from esc_gym.vector.generators import SIZE
 
 # time [s], steps (sub-steps so far), elapsed (policy steps), over (see ``kernel.RUNNING``),
-# next_id (of the vehicle perceived next), single (the last action was in single precision), seed
-# (of the generator; -1 if unknown).
+# next_id (of the vehicle perceived next), single (the last action was in single precision), lane
+# (whose place the ego is told: the exit's, or that to keep; -1), seed (of the generator; -1 if
+# unknown).
 HEAD = np.dtype(
     [("time", "f8")]
-    + [(name, "i8") for name in ("steps", "elapsed", "over", "next_id", "single", "seed")]
+    + [(name, "i8") for name in ("steps", "elapsed", "over", "next_id", "single", "lane", "seed")]
 )
 HEADER = b"esc_gym snapshot 1\n"
 # Rows of ``generators``: highway-env's own, and that of the order "shuffled".
@@ -42,7 +43,7 @@ class State:
     @classmethod
     def empty(cls, count: int, items: int, route_length: int) -> State:
         heads = np.zeros(count, HEAD)
-        heads["seed"] = -1
+        heads["lane"] = heads["seed"] = -1
         return cls(
             np.zeros((count, items + 1), VEHICLE),
             np.zeros((count, 4), np.int64),

@@ -126,9 +126,9 @@ class BatchVecEnv(SetVecEnv):
         self._check(rewards)
         return rewards, terminated
 
-    def _listed(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
+    def _listed(self, infos: dict[str, Any], measured: Measured) -> list[dict[str, Any]]:
         if not self.evaluation:
-            return super()._listed(infos)
+            return super()._listed(infos, measured)
         return [{} if rests else row(infos, e) for e, rests in enumerate(self.resting)]
 
     def _check(self, rewards: np.ndarray) -> None:

@@ -29,14 +29,21 @@ from esc_gym.vector.generators import random, uniform
 ROUTE_LENGTH = 16
 
 
+@compiled
+def place(s, i, x, y, heading, speed):
+    """A new object: ``RoadObject.__init__``. What it leaves alone is the template's."""
+    thing = s.vehicles[i]
+    thing.x, thing.y, thing.heading, thing.speed = x, y, heading, speed
+    thing.lane = 0
+    locate(s, i)
+    thing.lane = thing.target_lane = closest_lane(s, i)
+
+
 @outlined
 def create(s, i, x, y, heading, speed):
-    """A new vehicle: the constructors of its class. What they leave alone is the template's."""
+    """A new vehicle: the constructors of its class."""
+    place(s, i, x, y, heading, speed)
     vehicle = s.vehicles[i]
-    vehicle.x, vehicle.y, vehicle.heading, vehicle.speed = x, y, heading, speed
-    vehicle.lane = 0
-    locate(s, i)
-    vehicle.lane = vehicle.target_lane = closest_lane(s, i)
     if vehicle.kind >= IDM:
         vehicle.target_speed = speed
         vehicle.timer = ((x + y) * np.pi) % vehicle.lane_change_delay

@@ -10,6 +10,7 @@ from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.geometry import position
 from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import clip, outlined
+from esc_gym.fastsim.records import CONTROLLED
 from esc_gym.vector.generators import normal
 from esc_gym.vector.kernel import beginning, judging
 from esc_gym.vector.scenes.roads import (
@@ -23,7 +24,6 @@ from esc_gym.vector.scenes.roads import (
 )
 
 CLASSES = (UTurnEnv, ConnectedLaneUTurnEnv)
-META_ONLY = True
 REWARDS = {
     "collision_reward": bool, "left_lane_reward": float, "high_speed_reward": float,
     "on_road_reward": bool,
@@ -68,7 +68,8 @@ def reset(s, ego, g, c, ranges, plans, lengths, template):
     """``UTurnEnv._make_vehicles``; how many vehicles there are."""
     x, y = position(s, int(c[START]), 0.0)
     create(s, ego, x, y, 0.0, 16.0)
-    plan(s, ego, 0, plans, lengths)
+    if s.vehicles[ego].kind >= CONTROLLED:
+        plan(s, ego, 0, plans, lengths)
     for i in range(1, 7):
         lane, along, speed = c[PLACES + 3 * i - 3], c[PLACES + 3 * i - 2], c[PLACES + 3 * i - 1]
         along += normal(g) * 2.0

@@ -58,7 +58,7 @@ def episodes(env: gym.Env, seed: int, steps: int) -> Iterator[dict[str, Any]]:
             # The action was drawn from a generator of the process.
             del info["action"]
             for name in ABOUT_THE_ACTION:
-                info["rewards"].pop(name, None)
+                info.get("rewards", {}).pop(name, None)
             returned = observation, 0.0, False, False, info
         else:
             observation, reward, *ends, info = env.step(action)
@@ -112,7 +112,7 @@ def compare(
                 )  # fmt: skip
                 if expected[e][step]["snapshot"]["steps"] == 0:
                     for name in ABOUT_THE_ACTION:
-                        mine[4]["rewards"].pop(name, None)
+                        mine[4].get("rewards", {}).pop(name, None)
                 found = snap(envs.materialise(e), dict(zip(RETURNED, mine, strict=True)))
                 check(f"seed {seed}, call {step}", expected[e][step]["snapshot"], found)
     envs.close()

@@ -189,7 +189,6 @@ def test_frames_of_all():
 
 
 UNKNOWN = {
-    "a scenario": ("esc_gym/lane-keeping-v0", {}, "scenario LaneKeepingEnv"),
     "a vehicle": (FAST, {"other_vehicles_type": f"{__name__}.Mine"}, "traffic of Mine"),
     "stock": (FAST, {}, "accelerate=False"),
 }

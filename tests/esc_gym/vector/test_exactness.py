@@ -65,18 +65,25 @@ SCENARIOS = {
     "roundabout-v0": 40, "roundabout-v1": 40, "roundabout-generic-v0": 40,
     "roundabout-generic-v1": 40, "intersection-v0": 30, "intersection-v1": 30,
     "intersection-v2": 30, "racetrack-v0": 60, "racetrack-v1": 60, "racetrack-large-v0": 60,
-    "racetrack-large-v1": 40, "racetrack-oval-v0": 60, "racetrack-oval-v1": 60,
+    "racetrack-large-v1": 40, "racetrack-oval-v0": 60, "racetrack-oval-v1": 60, "parking-v0": 40,
+    "parking-parked-v0": 40, "parking-ActionRepeat-v0": 20, "lane-keeping-v0": 60,
 }  # fmt: skip
 # One of each family; the others are slow.
 FIRST = {
     "exit-v0", "merge-generic-v1", "two-way-v0", "u-turn-v1", "roundabout-generic-v1",
-    "intersection-v0", "racetrack-oval-v1",
+    "intersection-v0", "racetrack-oval-v1", "parking-parked-v0", "lane-keeping-v0",
 }  # fmt: skip
+
+
+# Of these an episode may take hundreds of steps.
+ENDLESS = {"parking-v0", "parking-parked-v0", "parking-ActionRepeat-v0", "lane-keeping-v0"}
 
 
 @pytest.mark.parametrize("name", some_slow(SCENARIOS, FIRST))
 def test_scenarios_over_resets(name):
-    expected = compare(f"esc_gym/{name}", seeds=range(3), steps=SCENARIOS[name], threads=2)
+    limit = {"max_episode_steps": 12} if name in ENDLESS else {}
+    steps = SCENARIOS[name]
+    expected = compare(f"esc_gym/{name}", seeds=range(3), steps=steps, threads=2, **limit)
     assert sum(resets(expected)) >= 6
 
 
