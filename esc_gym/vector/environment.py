@@ -20,7 +20,8 @@ from esc_gym.fastsim.records import VEHICLE
 from esc_gym.measures import speed_along_lane, time_to_collision
 from esc_gym.registration import make
 from esc_gym.vector.arguments import at_least_one, index_of, mask_of, mode_of, seeds_of
-from esc_gym.vector.engine import Engine, family_of
+from esc_gym.vector.engine import Engine
+from esc_gym.vector.families import family_of
 from esc_gym.vector.infos import Infos, add_final, add_step, infos_of, with_ids
 from esc_gym.vector.kernel import ENDED, RESTING, TERMINATED, TRUNCATED
 from esc_gym.vector.measures import Measured

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from highway_env import utils
-from highway_env.envs.lane_keeping_env import LaneKeepingEnv
 from highway_env.vehicle.controller import MDPVehicle
 
 from esc_gym.fastsim.kernel import EGO, ITEMS, ROAD_STEPS, VEHICLES
@@ -67,7 +66,7 @@ def materialise(env: Any, state: State, e: int) -> None:
     if isinstance(ego := base.vehicle, MDPVehicle):
         # Its target speed is always one of its target speeds.
         ego.speed_index = ego.target_speeds.tolist().index(ego.target_speed)
-    if isinstance(base, LaneKeepingEnv):
+    if hasattr(base, "lanes"):  # those of lane-keeping, which it has still to follow
         lanes = [network.lanes[network.numbers[index]] for index in (("c", "d", 0), ("a", "b", 0))]
         base.lane = network.lanes[head["lane"]]
         base.lanes = lanes[lanes.index(base.lane) + 1 :]

@@ -29,6 +29,8 @@ class BenchArguments(BaseModel):
     """Episodes in each round, of a few steps each."""
     seconds: PositiveFloat = 5.0
     """Time for each id, and for each turn in training; two turns are taken in any case."""
+    batch: bool = False
+    """Also measure batches of 64 environments, and how their cost grows."""
     end_to_end: bool = False
     """Also measure PPO training, on highway-v0 and highway-fast-v0."""
     out: Path | None = None

@@ -15,7 +15,7 @@ from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.environments import factories, make_env
 from esc_agents.errors import UserError
 from esc_gym.fastsim import report
-from esc_gym.vector.engine import family_of
+from esc_gym.vector.families import family_of
 from esc_gym.vector.objects import reset_quietly
 
 WORKERS_IMPORT = [

@@ -8,16 +8,13 @@ each episode ends.
 from __future__ import annotations
 
 import os
-import platform
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +24,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import esc_gym
 from esc_agents import files
@@ -34,6 +32,8 @@ from esc_agents.config import TrainConfig, config_for_env
 from esc_agents.driving.environments import env_config
 from esc_agents.driving.vectorised import vectorise
 from esc_agents.errors import UserError, say
+from esc_agents.proof import scaling
+from esc_agents.proof.timing import cpu, in_own_process, milliseconds, ratio, significant
 from esc_agents.reporting.tables import markdown, show, terminal
 from esc_agents.training.models import OURS, new_model
 from esc_gym import fastsim
@@ -60,20 +60,25 @@ are compared, to the last bit: after every step in a first round, which is not t
 of each episode in the others. (Not the generator in {", ".join(NOISY)}: its stock observation draws
 noise from it.)
 """
-TRAINING_COLUMNS = ("environment", "stock steps/s", "esc-gym steps/s", "ratio")
+TRAINING_COLUMNS = (
+    "environment", "stock steps/s", "one by one steps/s", "batch steps/s", "beside one by one",
+    "beside stock",
+)  # fmt: skip
 TRAINING_TEXT = f"""## PPO training, end to end
 
 Environment steps per second, driving and learning. Stock: SB3's `MlpPolicy` on highway-env's
-Kinematics. esc-gym: ESC on the set, as `esc-train` does it by default. Vectorisation, batch size,
-epochs, `net_arch` and all else are the same, but a stock rollout is as long as one batch, since
-whole ones take minutes; every step is still learned from in the same number of batches of the same
-size. The two take {ROUNDS} turns each, of whole rollouts with their updates; the faster counts.
+Kinematics, its environments in processes of their own. Ours: ESC on the set, as `esc-train` does it
+by default, in a batch, and with `--vec dummy` the same environments one by one. Number of
+environments, batch size, epochs, `net_arch` and all else are the same, but a stock rollout is as
+long as one batch, since whole ones take minutes; every step is still learned from in the same
+number of batches of the same size. They take {ROUNDS} turns each, of whole rollouts with their
+updates; the fastest counts.
 """
 
 
 def benchmark(
-    envs: Sequence[str], seeds: int, seconds: float, end_to_end: bool, out: Path | None,
-    readme: Path | None, command: str,
+    envs: Sequence[str], seeds: int, seconds: float, batch: bool, end_to_end: bool,
+    out: Path | None, readme: Path | None, command: str,
 ) -> bool:  # fmt: skip
     """Measure ``envs``, print the tables and write the files; true if all drive the same."""
     ids = check_ids(envs)
@@ -94,6 +99,14 @@ def benchmark(
     stamp = [time.strftime("%Y-%m-%d"), cpu(), *map(" ".join, files.versions().items())]
     text = ["# Speed\n", f"Written by `{command}`: {', '.join(stamp)}.\n"]
     text += [SPEED_TEXT, markdown(steps)]
+    blocks = [markdown([row[:4] for row in steps if row is SPEED_COLUMNS or "-v0" in row[0]])]
+    if batch:
+        rows = scaling.rows([id for id in ids if id not in MULTI_AGENT_IDS], seconds, say)
+        show(terminal(rows, "Batches"))
+        text += ["\n" + scaling.TEXT, markdown(rows)]
+        blocks.append(markdown([r for r in rows if r is scaling.COLUMNS or "-v0" in r[0]]))
+        if out:
+            text.append("\n" + scaling.growth_text(seconds, out))
     if trained:
         rows = [TRAINING_COLUMNS, *(training(config_for_env(id), seconds) for id in trained)]
         show(terminal(rows, "PPO training"))
@@ -102,8 +115,8 @@ def benchmark(
         files.write_text(out, "\n".join(text) + "\n")
         say(f"Written: {out}")
     if readme:
-        short = [row[:4] for row in steps if row is SPEED_COLUMNS or "-v0" in row[0]]
-        block = f"{markdown(short)}\n\n`esc-bench` on {cpu()}; with \\*, highway-env's observation."
+        blocks.append(f"`esc-bench` on {cpu()}; with \\*, highway-env's observation.")
+        block = "\n\n".join(blocks)
         files.write_text(readme, replace_block(readme, block))
         say(f"Written: {readme}")
     return not any(speed.differences for speed in speeds)
@@ -119,12 +132,6 @@ def check_ids(envs: Sequence[str]) -> list[str]:
     if not ids:
         raise UserError("--envs: expected at least one highway-env id, got none")
     return list(dict.fromkeys(ids))
-
-
-def in_own_process(function: Any, *arguments: Any) -> Any:
-    """The function's value, computed in a new process: what ran before leaves Python slower."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as process:
-        return process.submit(function, *arguments).result()
 
 
 @dataclass(frozen=True)
@@ -265,23 +272,27 @@ def difference(
 
 
 def training(config: TrainConfig, seconds: float) -> list[str]:
-    """The row of a PPO training: SB3 on stock highway-env and ours, in turns."""
-    ours = new_model(config, vectorise(config, config.n_envs))
+    """The row of a PPO training: SB3 on stock highway-env, ours one by one and in a batch."""
     stock_env = partial(_stock_env, config.env, env_config(config))
-    envs: Any = type(ours.env)([stock_env] * config.n_envs)  # type: ignore[call-arg]
     ppo = config.ppo.model_dump(exclude=OURS)
     ppo["n_steps"] = -(-config.ppo.batch_size // config.n_envs)  # see TRAINING_TEXT
     policy = {"net_arch": list(config.ppo.net_arch), "ortho_init": config.ppo.ortho_init}
     given = {"policy_kwargs": policy, "seed": config.seed, "device": config.device}
-    models = (PPO("MlpPolicy", envs, **given, **ppo), ours)
+    models: list[Any] = [
+        PPO("MlpPolicy", SubprocVecEnv([stock_env] * config.n_envs), **given, **ppo)
+    ]
+    for vec in ("dummy", "auto"):
+        own = config.model_copy(update={"vec": vec})
+        models.append(new_model(own, vectorise(own, own.n_envs)))
     try:
         rounds = [[learn(model, seconds) for model in models] for _ in range(ROUNDS)]
     finally:
         for model in models:
             model.env.close()
-    stock, own = np.min(rounds, axis=0)
-    row = [config.env, significant(1 / stock), significant(1 / own), ratio(stock, own)]
-    say(f"PPO on {row[0]}: {row[1]} -> {row[2]} steps/s, {row[3]}")
+    stock, single, batch = np.min(rounds, axis=0)
+    rates = [significant(1 / value) for value in (stock, single, batch)]
+    row = [config.env, *rates, ratio(single, batch), ratio(stock, batch)]
+    say(f"PPO on {row[0]}: {rates[0]}, {rates[1]} -> {rates[2]} steps/s, {row[4]} and {row[5]}")
     return row
 
 
@@ -296,28 +307,6 @@ def learn(model: Any, seconds: float) -> float:
         model.learn(size, reset_num_timesteps=False)
         steps, taken = steps + size, time.perf_counter() - before
     return taken / steps
-
-
-def significant(number: float) -> str:
-    """Three significant digits."""
-    return f"{number:,.0f}" if number >= 100 else f"{number:.3g}"
-
-
-def milliseconds(seconds: float) -> str:
-    return significant(1e3 * seconds)
-
-
-def ratio(slow: float, fast: float) -> str:
-    return f"{slow / fast:,.{0 if slow >= 10 * fast else 1}f}x"
-
-
-def cpu() -> str:
-    """Model and number of cores."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    name = models[0] if models else platform.processor() or platform.machine()
-    return f"{name}, {os.cpu_count()} cores"
 
 
 def make_folder(path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import ctypes
 import gc
 import os
@@ -11,12 +10,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
 from esc_agents import files
 from esc_agents.config import TrainConfig, load_config, scenarios
-from esc_agents.driving.environments import EnvFactory, check_actions
+from esc_agents.driving.environments import check_actions
+from esc_agents.driving.vectorised import vectorise
 from esc_agents.errors import UserError, say
 from esc_agents.reporting.documents import Rows, Text
 
+ENVIRONMENTS = 64  # of a scenario at once
 WARM_UP = 0.1  # share of the steps after which memory is first measured
 HEADER = ("scenario", "actions", "steps", "episodes", "faults", "memory MB", "growth")
 
@@ -54,30 +60,54 @@ def cases() -> list[tuple[str, TrainConfig]]:
 
 
 def soak(name: str, config: TrainConfig, steps: int, seed: int) -> Soaked:
-    """Drive ``steps`` random steps, through as many episodes as they make."""
+    """Drive at least ``steps`` random steps, through as many episodes as they make."""
     result = Soaked(name, "meta" if config.algo == "ppo" else "continuous")
     start = time.perf_counter()
-    env = EnvFactory(config)()
-    observation, _ = env.reset(seed=seed)
-    actions = copy.deepcopy(env.action_space)  # every reset makes another one, without seed
-    actions.seed(seed)
-    for result.steps in range(1, steps + 1):
-        if not env.observation_space.contains(observation):
-            result.faults.append(f"step {result.steps}: an observation outside its space")
-        observation, _, terminated, truncated, info = env.step(actions.sample())
-        if fault := info.get("fault"):
-            result.faults.append(fault)
-            env = EnvFactory(config)()
-            terminated = True
-        if terminated or truncated:
-            result.episodes += 1
-            observation, _ = env.reset(seed=seed + result.steps if fault else None)
-        if result.steps == max(1, int(WARM_UP * steps)):
+    generator = np.random.default_rng(seed)
+    envs = begun(config, seed)
+    while result.steps < steps:
+        observations, _, dones, infos = envs.step(drawn(envs.action_space, generator))
+        result.steps += ENVIRONMENTS
+        result.episodes += int(dones.sum())
+        if not contains(envs.observation_space, observations):
+            result.faults.append(f"step {result.steps:,}: an observation outside its space")
+        if found := [info["fault"] for info in infos if "fault" in info]:
+            result.faults += found
+            envs.close()
+            envs = begun(config, seed + result.steps)
+        if not result.memory and result.steps >= WARM_UP * steps:
             result.memory.append(resident())
     result.memory.append(resident())
-    env.close()
+    envs.close()
     result.seconds = time.perf_counter() - start
     return result
+
+
+def begun(config: TrainConfig, seed: int) -> VecEnv:
+    """The environments of a scenario, reset."""
+    envs = vectorise(config, ENVIRONMENTS)
+    envs.seed(seed)
+    envs.reset()
+    return envs
+
+
+def drawn(space: gym.Space, generator: np.random.Generator) -> NDArray:
+    """A random action for each environment."""
+    if isinstance(space, gym.spaces.Discrete):
+        return generator.integers(space.n, size=ENVIRONMENTS)
+    box: Any = space
+    return generator.uniform(box.low, box.high, (ENVIRONMENTS, *box.shape)).astype(box.dtype)
+
+
+def contains(space: Any, observations: Any) -> bool:
+    """Whether every observation of a batch is in its space."""
+    boxes = all(
+        observations[name].dtype == space[name].dtype
+        and (space[name].low <= observations[name]).all()
+        and (observations[name] <= space[name].high).all()
+        for name in ("ego", "vehicles")
+    )
+    return boxes and bool(np.isin(observations["mask"], (0, 1)).all())
 
 
 def resident() -> int:
