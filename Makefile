@@ -26,7 +26,8 @@ slow: setup
 	$(BIN)/pytest -n $(WORKERS) --dist loadgroup -m slow
 
 exact: setup
-	$(BIN)/pytest tests/esc_gym/fastsim/test_exactness.py --exact-seeds 100 -n $(WORKERS)
+	$(BIN)/pytest tests/esc_gym/fastsim/test_exactness.py tests/esc_gym/vector/test_configurations.py \
+		--exact-seeds 100 -n $(WORKERS)
 
 bench: setup
 	$(BIN)/pytest tests/benchmarks --benchmark-enable -o norecursedirs=.* -s

@@ -126,6 +126,10 @@ def _restore(item: Any, record: Any, number: int) -> None:
                 d[f"{name}_PARAMETERS"] = values
     if kind == LANDMARK:
         item.position[:], item.heading = (record["x"], record["y"]), record["heading"]
+    if "is_yielding" in d and not record["changed"] & YIELD:  # it is of its own reset
+        if d.pop("is_yielding"):
+            del d["color"]
+        del d["yield_timer"]
     if kind == BICYCLE:
         d["lateral_speed"], d["yaw_rate"] = record["lateral_speed"], record["yaw_rate"]
     d.pop("set_id", None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from highway_env.envs.lane_keeping_env import LaneKeepingEnv
+from highway_env.vehicle.dynamics import BicycleVehicle
 
 from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.geometry import VEHICLE_LENGTH, local_coordinates, width_at
@@ -28,8 +29,8 @@ X, Y, HEADING, FIRST, SECOND = range(5)
 
 def unknown(env: Any) -> str:
     """Why the engine cannot do this configuration; "" if it can."""
-    if hasattr(env.action_type, "actions"):
-        return "meta-actions where no lanes are to be changed"
+    if not isinstance(env.vehicle, BicycleVehicle):
+        return "a vehicle without dynamics, at which highway-env fails"
     return "a linear parameter-varying system beside the vehicle" if env.lpv else ""
 
 

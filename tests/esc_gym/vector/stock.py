@@ -89,9 +89,13 @@ def compare(
     seeds: Sequence[int],
     steps: int,
     threads: int = 1,
+    disturbed: bool = False,
     **observation: Any,
 ) -> list[list[dict[str, Any]]]:
-    """Raise AssertionError at the first difference; return what the stock side did, per seed."""
+    """Raise AssertionError at the first difference; return what the stock side did, per seed.
+
+    disturbed: in the middle, go on with a fork of a batch that was driven elsewhere and restored.
+    """
     config = config or {}
     with fresh_process():
         expected = [
@@ -103,8 +107,11 @@ def compare(
         observations, infos = envs.reset(seed=list(seeds))
         returned = observations, *np.zeros((3, len(seeds))), infos
         for step in range(steps + 1):
+            actions = np.array([episode[step]["action"] for episode in expected])
             if step:
-                returned = envs.step(np.array([episode[step]["action"] for episode in expected]))
+                returned = envs.step(actions)
+            if disturbed and step == steps // 2:
+                envs = elsewhere_and_back(envs, actions)
             for e, seed in enumerate(seeds):
                 mine = (
                     observed(returned[0], e), float(returned[1][e]), bool(returned[2][e]),
@@ -117,6 +124,15 @@ def compare(
                 check(f"seed {seed}, call {step}", expected[e][step]["snapshot"], found)
     envs.close()
     return expected
+
+
+def elsewhere_and_back(envs: SetVectorEnv, actions: np.ndarray) -> SetVectorEnv:
+    """A copy of a batch that was driven on and restored since."""
+    taken = envs.snapshot()
+    for _ in range(3):
+        envs.step(actions)
+    envs.restore(taken)
+    return envs.fork(range(envs.num_envs))
 
 
 def resets(expected: list[list[dict[str, Any]]]) -> list[int]:

@@ -1,4 +1,4 @@
-"""``pytest tests/esc_gym/fastsim --exact-seeds 100 -n 2``: as many episodes as one has time for."""
+"""``pytest tests/esc_gym/... --exact-seeds 100 -n 2``: as many episodes as one has time for."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import pytest
 
 CHUNK = 5
 AT_ONCE = 1  # seeds in the ordinary tests; up to CHUNK is slow
+SEEDS_A_DRAW = 25  # for so many seeds, one more random configuration
 
 
 def pytest_addoption(parser):
@@ -13,11 +14,17 @@ def pytest_addoption(parser):
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc):
-    """Tests with an argument ``seeds`` get some at a time, to be spread over workers."""
+    """Tests with an argument ``seeds`` get some at a time, to be spread over workers.
+
+    Those with ``drawn``, the number of a random configuration: 0 for the id's own.
+    """
+    # None also where pytest was started elsewhere and did not see the option above.
+    count = metafunc.config.getoption("exact_seeds", None)
+    if "drawn" in metafunc.fixturenames:
+        metafunc.parametrize("drawn", range(count // SEEDS_A_DRAW) if count else [1])
     if "seeds" not in metafunc.fixturenames:
         return
-    # None also where pytest was started elsewhere and did not see the option above.
-    if count := metafunc.config.getoption("exact_seeds", None):
+    if count:
         chunks = [range(s, min(s + CHUNK, count)) for s in range(0, count, CHUNK)]
         cases = [pytest.param(chunk, id=_name(chunk)) for chunk in chunks]
     else:
