@@ -147,7 +147,7 @@ class SetVecEnv(VecEnv):
         for e in np.flatnonzero(chosen).tolist():
             self.reset_infos[e] = row(infos, e)
             self.episodes.begin(e, seeds[e])
-        self.episodes.note_lanes(chosen, self.envs.measure())
+        self.episodes.note_lanes(chosen, self.envs.measure(self.collisions))
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:

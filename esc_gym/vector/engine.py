@@ -111,7 +111,9 @@ class Engine:
         # Where the last step began a new episode in place of a step; and a mask of all.
         self.begun, self.everywhere = np.zeros(count, bool), np.ones(count, bool)
         self.progress = np.zeros((count, kernel.COMMAND + 1), np.int64)
-        self.measured = Measured.empty(count)
+        # Whether ``measured`` is of now, and if so, whether with times to collision.
+        self.measured: Measured = Measured.empty(count)
+        self.watching: bool | None = None
         threads, network = min(self._threads, count), self.network
         edges = np.linspace(0, count, threads + 1).astype(int).tolist()
         samples, numerics = np.empty((1, SAMPLE_COLUMNS)), machine()[1]
@@ -202,6 +204,7 @@ class Engine:
             self._observe(share, driven, self.now)
         if hasattr(self.family, "go_on_all"):
             self._change(share, driven, self.family.go_on_all)
+        self._measure(share)
         ended: Any = self.ends.any(axis=1)
         if self.mode is AutoresetMode.SAME_STEP and ended[first:last].any():
             self.final.copy_from(self.now, slice(first, last), slice(first, last))
@@ -240,6 +243,7 @@ class Engine:
             self._run(share, self.warm_up)
             self._change(share, chosen, self.family.complete_all)
         self._observe(share, chosen, self.now)
+        self._measure(share)
 
     def _change(self, share: Any, chosen: np.ndarray, change: Any) -> None:
         first, last, scenes = share
@@ -258,13 +262,16 @@ class Engine:
         )  # fmt: skip
 
     def measure(self, collisions: bool) -> Measured:
-        """How the egos are driving; the times to collision are those of the last call with them."""
-        self._share_out(self._measure, collisions)
+        """How the egos are driving; steps and resets see to it from now on."""
+        if self.watching is not collisions:
+            self.watching = collisions
+            self._share_out(self._measure)
         return self.measured
 
-    def _measure(self, share: Any, collisions: bool) -> None:
+    def _measure(self, share: Any) -> None:
         first, last, scenes = share
-        measure_all(*scenes, *self.measured, collisions, first, last)
+        if self.watching is not None:
+            measure_all(*scenes, *self.measured, self.watching, first, last)
 
 
 def _template(traffic: Traffic, capacity: int, ego: Any) -> np.ndarray:

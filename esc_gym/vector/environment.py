@@ -279,6 +279,7 @@ class SetVectorEnv(VectorEnv):
         """
         engine = self._known()
         unpack(snapshot, engine.arrays(), self._identity())
+        engine.watching = None
         return self._observation(engine.now), infos_of(engine, engine.now, engine.everywhere)
 
     def fork(self, indices: Sequence[int]) -> SetVectorEnv:
