@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import esc_gym  # noqa: F401  (registers the ids)
+from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import make_env
 from esc_agents.driving.policies import load_policy
@@ -260,13 +261,16 @@ def test_processes_of_their_own():
         assert one.reset()["mask"].shape == (1, 1)
     finally:
         one.close()
-    assert isinstance(vectorise(tiny("lane-keeping-v0", vec="auto"), 1), DummyVecEnv)
+    assert isinstance(vectorise(tiny("lane-keeping-v0", vec="auto"), 1), BatchVecEnv)
 
 
 @pytest.mark.parametrize(("compiled", "expected"), [(1, DummyVecEnv), (0, list)])
 def test_auto_takes_processes_where_the_simulation_is_not_compiled(compiled, expected, monkeypatch):
     monkeypatch.setattr("esc_agents.driving.vectorised.SubprocVecEnv", list)  # no process starts
     monkeypatch.setattr("esc_agents.driving.vectorised.report", lambda env: Report(compiled))
+    monkeypatch.setattr(
+        "esc_agents.driving.vectorised.unknown_to_engine", lambda config: "a road of one's own"
+    )
     monkeypatch.setattr("os.sched_getaffinity", lambda process: {0, 1}, raising=False)
     assert isinstance(vectorise(tiny("lane-keeping-v0", vec="auto"), 2), expected)
 
