@@ -19,6 +19,13 @@ from esc_gym.vector.measures import Measured
 SHARE = 4  # environments that are worth a thread
 
 
+def cores() -> int:
+    """How many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 class BatchVecEnv(SetVecEnv):
     """``count`` environments of a run: ``Progress``, ``SeededEpisodes`` and ``Worker`` in one.
 
@@ -31,7 +38,7 @@ class BatchVecEnv(SetVecEnv):
     ) -> None:
         with named_version():
             super().__init__(
-                config.env, count, min(os.cpu_count() or 1, -(-count // SHARE)), evaluation,
+                config.env, count, min(cores(), -(-count // SHARE)), evaluation,
                 config=env_config(config), **observation_arguments(config, shuffle),
             )  # fmt: skip
         task = config.continuous if config.algo == "sac" else None

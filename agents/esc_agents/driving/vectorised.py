@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from esc_agents.config import TrainConfig
-from esc_agents.driving.batch import BatchVecEnv
+from esc_agents.driving.batch import BatchVecEnv, cores
 from esc_agents.driving.environments import factories, make_env
 from esc_agents.errors import UserError
 from esc_gym.fastsim import report
@@ -57,8 +56,7 @@ def unknown_to_engine(config: TrainConfig) -> str:
 
 def _worth_processes(config: TrainConfig, count: int) -> bool:
     """Whether ``count`` environments have more to compute than to say to each other."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    if count < 2 or (cores or 1) < 2:
+    if count < 2 or cores() < 2:
         return False
     env = make_env(config)
     try:
