@@ -22,20 +22,14 @@ import gymnasium as gym
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
-from stable_baselines3 import PPO
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import esc_gym
 from esc_agents import files
-from esc_agents.config import TrainConfig, config_for_env
-from esc_agents.driving.environments import env_config
-from esc_agents.driving.vectorised import vectorise
+from esc_agents.config import config_for_env
 from esc_agents.errors import UserError, say
-from esc_agents.proof import scaling
-from esc_agents.proof.timing import cpu, in_own_process, milliseconds, ratio, significant
+from esc_agents.proof import end_to_end as training, scaling
+from esc_agents.proof.timing import cpu, in_own_process, milliseconds, ratio
 from esc_agents.reporting.tables import markdown, show, terminal
-from esc_agents.training.models import OURS, new_model
 from esc_gym import fastsim
 from esc_gym.fastsim.behavior import original_behavior
 from esc_gym.registration import HIGHWAY_ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
@@ -59,20 +53,6 @@ counts. Reward, end, random generator and position, heading, speed, lane and cra
 are compared, to the last bit: after every step in a first round, which is not timed, and at the end
 of each episode in the others. (Not the generator in {", ".join(NOISY)}: its stock observation draws
 noise from it.)
-"""
-TRAINING_COLUMNS = (
-    "environment", "stock steps/s", "one by one steps/s", "batch steps/s", "beside one by one",
-    "beside stock",
-)  # fmt: skip
-TRAINING_TEXT = f"""## PPO training, end to end
-
-Environment steps per second, driving and learning. Stock: SB3's `MlpPolicy` on highway-env's
-Kinematics, its environments in processes of their own. Ours: ESC on the set, as `esc-train` does it
-by default, in a batch, and with `--vec dummy` the same environments one by one. Number of
-environments, batch size, epochs, `net_arch` and all else are the same, but a stock rollout is as
-long as one batch, since whole ones take minutes; every step is still learned from in the same
-number of batches of the same size. They take {ROUNDS} turns each, of whole rollouts with their
-updates; the fastest counts.
 """
 
 
@@ -108,9 +88,10 @@ def benchmark(
         if out:
             text.append("\n" + scaling.growth_text(seconds, out))
     if trained:
-        rows = [TRAINING_COLUMNS, *(training(config_for_env(id), seconds) for id in trained)]
+        rows = [training.COLUMNS]
+        rows += [training.measure(config_for_env(id), seconds, say) for id in trained]
         show(terminal(rows, "PPO training"))
-        text += ["\n" + TRAINING_TEXT, markdown(rows)]
+        text += ["\n" + training.TEXT, markdown(rows)]
     if out:
         files.write_text(out, "\n".join(text) + "\n")
         say(f"Written: {out}")
@@ -269,44 +250,6 @@ def difference(
             if name != ignored and a.get(name) != b.get(name):
                 return f"{name}, step {step}"
     return None
-
-
-def training(config: TrainConfig, seconds: float) -> list[str]:
-    """The row of a PPO training: SB3 on stock highway-env, ours one by one and in a batch."""
-    stock_env = partial(_stock_env, config.env, env_config(config))
-    ppo = config.ppo.model_dump(exclude=OURS)
-    ppo["n_steps"] = -(-config.ppo.batch_size // config.n_envs)  # see TRAINING_TEXT
-    policy = {"net_arch": list(config.ppo.net_arch), "ortho_init": config.ppo.ortho_init}
-    given = {"policy_kwargs": policy, "seed": config.seed, "device": config.device}
-    models: list[Any] = [
-        PPO("MlpPolicy", SubprocVecEnv([stock_env] * config.n_envs), **given, **ppo)
-    ]
-    for vec in ("dummy", "auto"):
-        own = config.model_copy(update={"vec": vec})
-        models.append(new_model(own, vectorise(own, own.n_envs)))
-    try:
-        rounds = [[learn(model, seconds) for model in models] for _ in range(ROUNDS)]
-    finally:
-        for model in models:
-            model.env.close()
-    stock, single, batch = np.min(rounds, axis=0)
-    rates = [significant(1 / value) for value in (stock, single, batch)]
-    row = [config.env, *rates, ratio(single, batch), ratio(stock, batch)]
-    say(f"PPO on {row[0]}: {rates[0]}, {rates[1]} -> {rates[2]} steps/s, {row[4]} and {row[5]}")
-    return row
-
-
-def _stock_env(id: str, config: dict[str, Any]) -> gym.Env:
-    return Monitor(gym.make(id, config=config, disable_env_checker=True))
-
-
-def learn(model: Any, seconds: float) -> float:
-    """Seconds of an environment step in whole rollouts and their updates, ``seconds`` or more."""
-    size, steps, taken, before = model.n_steps * model.env.num_envs, 0, 0.0, time.perf_counter()
-    while taken < seconds:
-        model.learn(size, reset_num_timesteps=False)
-        steps, taken = steps + size, time.perf_counter() - before
-    return taken / steps
 
 
 def make_folder(path: Path) -> None:

@@ -12,7 +12,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from esc_agents.cli import bench as cli
 from esc_agents.errors import UserError
-from esc_agents.proof import bench
+from esc_agents.proof import bench, end_to_end, timing
 from esc_agents.proof.bench import (
     GENERATOR,
     MARKERS,
@@ -69,12 +69,16 @@ def test_intersections_leave_no_trace():
 
 
 def test_training_of_both_sides(monkeypatch):
-    monkeypatch.setattr(bench, "ROUNDS", 1)
-    name, *rates, beside_single, beside_stock = bench.training(tiny(), 0.01)
-    assert name == "highway-fast-v0"
-    assert all(float(rate.replace(",", "")) > 0 for rate in rates)
-    assert beside_single.endswith("x")
-    assert beside_stock.endswith("x")
+    monkeypatch.setattr(end_to_end, "ROUNDS", 1)
+    said = []
+    row = end_to_end.measure(tiny(), 0.01, said.append)
+    assert len(row) == len(end_to_end.COLUMNS)
+    assert row[0] == "highway-fast-v0"
+    assert all(cell.endswith("x") for cell in row[4:6])
+    costs = [float(cell.replace(",", "")) for cell in (*row[1:4], *row[6:])]
+    assert min(costs) > 0
+    assert sum(costs[3:]) == pytest.approx(1e6 / costs[2], rel=0.02)
+    assert said[0].startswith("PPO on highway-fast-v0: ")
 
 
 def test_row():
@@ -91,12 +95,12 @@ def test_row():
     ("number", "text"), [(1234.5, "1,234"), (99.94, "99.9"), (1.0, "1"), (0.08123, "0.0812")]
 )
 def test_significant(number, text):
-    assert bench.significant(number) == text
+    assert timing.significant(number) == text
 
 
 def test_ratio():
-    assert bench.ratio(10.0, 0.05) == "200x"
-    assert bench.ratio(1.84, 1.0) == "1.8x"
+    assert timing.ratio(10.0, 0.05) == "200x"
+    assert timing.ratio(1.84, 1.0) == "1.8x"
 
 
 @pytest.mark.parametrize("name", ["position", "heading", "speed"])
