@@ -155,7 +155,7 @@ def draw(growth: Growth, path: Path) -> None:
     for (threads, costs), colour in zip(growth.environments.items(), COLORS.values(), strict=False):
         label = f"{threads} thread{'s' * (threads > 1)}"
         left.plot(COUNTS, [1e6 * cost for cost in costs], "o-", color=colour, label=label)
-    left.set(xscale="log", yscale="log", xlabel="environments", ylabel="us per environment step")
+    left.set(xscale="log", xlabel="environments", ylabel="us per environment step", ylim=(0, None))
     left.legend(frameon=False)
     shares = [1e6 * share for share in growth.vehicles]
     right.plot(VEHICLES, shares, "o-", color=COLORS["esc"])
