@@ -33,10 +33,12 @@ class Episodes:
         self.road, self.lane = np.zeros((2, count), np.int64)
         self.seeds: list[int | None] = [None] * count
 
-    def begin(self, e: int, seed: int | None) -> None:
-        """A new episode of environment ``e``."""
-        self.lengths[e] = self.off_road[e] = self.changes[e] = 0
-        self.progress[e], self.least_time[e], self.seeds[e] = 0.0, np.inf, seed
+    def begin(self, chosen: np.ndarray, seeds: Sequence[int | None]) -> None:
+        """New episodes where ``chosen`` says so."""
+        self.lengths[chosen] = self.off_road[chosen] = self.changes[chosen] = 0
+        self.progress[chosen], self.least_time[chosen] = 0.0, np.inf
+        for e in np.flatnonzero(chosen).tolist():
+            self.seeds[e] = seeds[e]
 
     def note_lanes(self, chosen: Any, measured: Measured) -> None:
         """Where the cars of some environments are, for the changes to count."""
@@ -138,17 +140,26 @@ class SetVecEnv(VecEnv):
             raise ValueError("options: another configuration is for SetVecEnv(..., config=...).")
         seeds = self._seeds
         self._reset_seeds()
-        self.reset_infos = [{} for _ in range(self.num_envs)]
         return _copied(self._begin(np.ones(self.num_envs, bool), seeds))
 
     def _begin(self, chosen: np.ndarray, seeds: Sequence[int | None]) -> dict[str, np.ndarray]:
         """Begin new episodes where ``chosen`` says so; the observations of all environments."""
         observations, infos = self.envs.reset(seed=seeds, options={"reset_mask": chosen})
+        self.episodes.begin(chosen, seeds)
         for e in np.flatnonzero(chosen).tolist():
-            self.reset_infos[e] = row(infos, e)
-            self.episodes.begin(e, seeds[e])
+            self._begun[e] = infos, e
         self.episodes.note_lanes(chosen, self.envs.measure(self.collisions))
         return observations
+
+    @property
+    def reset_infos(self) -> list[dict[str, Any]]:  # type: ignore[override]
+        """What each environment said at its last reset."""
+        return [row(*begun) if begun else {} for begun in self._begun]
+
+    @reset_infos.setter
+    def reset_infos(self, infos: Any) -> None:  # type: ignore[override]
+        """``VecEnv`` begins with empty ones."""
+        self._begun: list[Any] = [None for _ in infos]
 
     def step_async(self, actions: np.ndarray) -> None:
         self._actions = actions

@@ -33,6 +33,9 @@ from esc_gym.vector.objects import follow_road
 from esc_gym.vector.scenes.roads import ROUTE_LENGTH, Plans, behavior_ranges
 from esc_gym.vector.state import ROAD, SHUFFLE, State
 
+# Parts of a batch for each thread, environments in a part at least, and few environments.
+PARTS, LEAST, FEW = 2, 4, 16
+
 
 class Outputs:
     """What E environments returned last. See ``observe.Output``, ``kernel.Told``."""
@@ -114,8 +117,9 @@ class Engine:
         # Whether ``measured`` is of now, and if so, whether with times to collision.
         self.measured: Measured = Measured.empty(count)
         self.watching: bool | None = None
-        threads, network = min(self._threads, count), self.network
-        edges = np.linspace(0, count, threads + 1).astype(int).tolist()
+        network = self.network
+        parts = 1 if self._threads == 1 else min(PARTS * self._threads, -(-count // LEAST))
+        edges = np.linspace(0, count, parts + 1).astype(int).tolist()
         samples, numerics = np.empty((1, SAMPLE_COLUMNS)), machine()[1]
         self._shares = []
         for first, last in pairwise(edges):
@@ -146,15 +150,24 @@ class Engine:
         if self._pool:
             self._pool.shutdown()
 
-    def _share_out(self, work: Any, *arguments: Any) -> None:
-        """``work`` on all environments, a part of them in each thread."""
-        if self._pool is None and len(self._shares) > 1:
-            self._pool = ThreadPoolExecutor(len(self._shares) - 1)
+    def _share_out(self, work: Any, *arguments: Any, alone: bool = False) -> None:
+        """``work`` on all environments; threads that are free take the next part, if not alone."""
+        shares = iter(self._shares)
+
+        def take() -> None:
+            for share in shares:
+                work(share, *arguments)
+
+        helpers = 0 if alone else min(self._threads, len(self._shares)) - 1
+        if self._pool is None and helpers:
+            self._pool = ThreadPoolExecutor(helpers)
         pool: Any = self._pool
-        others = [pool.submit(work, share, *arguments) for share in self._shares[1:]]
-        work(self._shares[0], *arguments)
-        wait(others)
-        for other in others:
+        others = [pool.submit(take) for _ in range(helpers)]
+        take()
+        # Those that did not wake up in time have nothing to do any more.
+        late = [other for other in others if not other.cancel()]
+        wait(late)
+        for other in late:
             other.result()
 
     def reset(self, seeds: Sequence[int | None], mask: np.ndarray) -> None:
@@ -169,7 +182,8 @@ class Engine:
             self.state.heads["seed"][e] = seed if seed < 2**63 else -1
             if seeds[e] is not None:
                 self.state.generators[e, SHUFFLE] = row(np.random.default_rng([seed, 0x5E7]))
-        self._share_out(self._begin, mask)
+        # For a few, which begin in every step, to wake up the others would take longer.
+        self._share_out(self._begin, mask, alone=mask.sum() < FEW)
 
     def step(self, actions: Any) -> None:
         """One policy step of each environment. ValueError, and nothing is done, for bad actions."""

@@ -314,7 +314,8 @@ class SetVectorEnv(VectorEnv):
     def materialise(self, index: int) -> gym.Env:
         """A ``gym.make`` environment in exactly the state of environment ``index``.
 
-        For rendering, debugging and films; stepping it changes nothing here.
+        For rendering, debugging and films; stepping it changes nothing here. What a LinearVehicle
+        has collected to fit its parameters to, which no step reads, it does not have.
         """
         if not self.engine:
             return pickle.loads(pickle.dumps(self._envs.envs[index_of(index, self.num_envs)]))

@@ -20,6 +20,7 @@ ENVIRONMENTS, STEPS = 64, 8
 LEAST = {
     "highway-fast-v0": 15, "highway-v0": 8, "merge-v0": 12, "exit-v0": 12, "two-way-v0": 12,
     "u-turn-v0": 12, "roundabout-v0": 12, "intersection-v0": 8, "racetrack-v0": 8,
+    "parking-v0": 5,
 }  # fmt: skip
 
 

@@ -80,8 +80,8 @@ def benchmark(
     text = ["# Speed\n", f"Written by `{command}`: {', '.join(stamp)}.\n"]
     text += [SPEED_TEXT, markdown(steps)]
     blocks = [markdown([row[:4] for row in steps if row is SPEED_COLUMNS or "-v0" in row[0]])]
-    if batch:
-        rows = scaling.rows([id for id in ids if id not in MULTI_AGENT_IDS], seconds, say)
+    if batch and (alone := [id for id in ids if id not in MULTI_AGENT_IDS]):
+        rows = scaling.rows(alone, seconds, say)
         show(terminal(rows, "Batches"))
         text += ["\n" + scaling.TEXT, markdown(rows)]
         blocks.append(markdown([r for r in rows if r is scaling.COLUMNS or "-v0" in r[0]]))
