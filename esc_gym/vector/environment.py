@@ -70,7 +70,8 @@ class SetVectorEnv(VectorEnv):
 
     ``info`` has, each with its mask ``_name``: ``speed``, ``crashed``, ``action``, ``rewards`` (a
     dictionary by name) and ``set`` (``count``, ``overflow``, and ``ids`` [num_envs, N], -1 past the
-    real rows). The action that highway-env draws at a reset to fill its info is left out.
+    real rows); after a step of lane-keeping only ``set``, as in highway-env. The action that
+    highway-env draws at a reset to fill its info is left out.
 
     Raises ValueError for bad arguments and actions.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -88,6 +89,25 @@ def observe_all(
             speed[e], crashed[e] = s.vehicles[me].speed, s.vehicles[me].crashed
 
 
+inner: Any = None  # of ``_forward``: each entry has its own
+
+
+def _forward(*arguments: Any) -> None:
+    inner(*arguments)
+
+
+def entry(of: Any, compiled_function: Any) -> Any:
+    """A cached function that calls another, named after a family's function ``of``.
+
+    Numba keeps no closures on disk: this one has what it calls in globals of its own.
+    """
+    source = of.py_func
+    function: Any = FunctionType(_forward.__code__, {"inner": compiled_function})
+    function.__module__ = source.__module__
+    function.__qualname__ = f"{source.__module__}.{source.__name__}_all"
+    return cached(function)
+
+
 def judging(judge: Any) -> Any:
     """Rewards and ends of all environments that are RUNNING, by their family's ``judge``.
 
@@ -123,7 +143,7 @@ def judging(judge: Any) -> Any:
             if terminated or truncated:
                 head.over = ENDED
 
-    return judge_all
+    return entry(judge, judge_all)
 
 
 def beginning(reset: Any, judge: Any) -> Any:
@@ -169,7 +189,7 @@ def beginning(reset: Any, judge: Any) -> Any:
                         s.vehicles[n + i] = template[s.n + i]
                 counts[e, VEHICLES], counts[e, ITEMS] = n, n + objects
 
-    return begin_all
+    return entry(reset, begin_all)
 
 
 def changing(change: Any, judge: Any) -> Any:
@@ -203,7 +223,7 @@ def changing(change: Any, judge: Any) -> Any:
                 )  # fmt: skip
                 counts[e, VEHICLES], counts[e, ITEMS], counts[e, EGO] = n, n, ego
 
-    return change_all
+    return entry(change, change_all)
 
 
 @compiled

@@ -19,7 +19,7 @@ HEAD = np.dtype(
     [("time", "f8")]
     + [(name, "i8") for name in ("steps", "elapsed", "over", "next_id", "single", "lane", "seed")]
 )
-HEADER = b"esc_gym snapshot 1\n"
+HEADER = b"esc_gym snapshot 2\n"
 # Rows of ``generators``: highway-env's own, and that of the order "shuffled".
 ROAD, SHUFFLE = range(2)
 

@@ -16,8 +16,6 @@ from esc_gym.sb3 import SetVecEnv
 from esc_gym.vector.infos import row
 from esc_gym.vector.measures import Measured
 
-SHARE = 4  # environments that are worth a thread
-
 
 def cores() -> int:
     """How many processors this process may use."""
@@ -38,7 +36,7 @@ class BatchVecEnv(SetVecEnv):
     ) -> None:
         with named_version():
             super().__init__(
-                config.env, count, min(cores(), -(-count // SHARE)), evaluation,
+                config.env, count, cores(), evaluation,
                 config=env_config(config), **observation_arguments(config, shuffle),
             )  # fmt: skip
         task = config.continuous if config.algo == "sac" else None

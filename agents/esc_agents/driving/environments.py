@@ -69,7 +69,7 @@ def observation_arguments(config: TrainConfig, shuffle: bool = False) -> dict[st
 
 @contextmanager
 def named_version() -> Iterator[None]:
-    """A run names its version: Gymnasium's advice to take a newer one would change the task."""
+    """Who names a version means it: Gymnasium's advice to take a newer one is not shown."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*is out of date.*", DeprecationWarning)
         yield

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 import esc_gym
 from esc_agents import files
 from esc_agents.config import config_for_env
+from esc_agents.driving.environments import named_version
 from esc_agents.errors import UserError, say
 from esc_agents.proof import end_to_end as training, scaling
 from esc_agents.proof.timing import cpu, in_own_process, milliseconds, ratio
@@ -141,8 +141,7 @@ def measure(id: str, seeds: int, seconds: float) -> Speed:
     """Race the two sides of an id for about ``seconds``, on ``seeds`` episodes a round."""
     make = partial(gym.make, disable_env_checker=True)
     # intersection-v0 writes class attributes: they last for its own measurement, not for others.
-    with original_behavior(IDMVehicle), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".*is out of date.*", DeprecationWarning)
+    with original_behavior(IDMVehicle), named_version():
         alone = id not in MULTI_AGENT_IDS
         ours = Side(make(f"{NAMESPACE}/{id}") if alone else esc_gym.accelerate(make(id)))
         stock = Side(make(id))

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ from matplotlib.figure import Figure
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from esc_agents import files
+from esc_agents.driving.environments import named_version
 from esc_agents.proof.timing import in_own_process, ratio, significant
 from esc_agents.reporting.plots import COLORS, tidy
 from esc_gym import SetVecEnv
@@ -60,17 +59,9 @@ class BatchSpeed:
         ]  # fmt: skip
 
 
-@contextmanager
-def any_version() -> Iterator[None]:
-    """Gymnasium's advice to take a newer version would be about another environment."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".*is out of date.*", DeprecationWarning)
-        yield
-
-
 def measure_batch(id: str, seconds: float) -> BatchSpeed:
     """Race the three sides of an id for about ``seconds``, at least two rounds."""
-    with any_version():
+    with named_version():
         stock = DummyVecEnv([lambda: gym.make(id, disable_env_checker=True)])
         single = DummyVecEnv([lambda: gym.make(f"{NAMESPACE}/{id}")] * ENVIRONMENTS)
         sides = [

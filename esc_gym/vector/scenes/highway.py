@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from highway_env.envs.highway_env import HighwayEnv, HighwayEnvFast
 
-from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import clip, cos, outlined
 from esc_gym.vector.generators import below
@@ -91,16 +90,4 @@ def judge(s, ego, head, action, c, parts):
     return reward, terminated, head.time >= c[DURATION]
 
 
-_judge, _begin = judging(judge), beginning(reset, judge)
-
-
-@cached
-def judge_all(*arguments):
-    """See ``judging``."""
-    _judge(*arguments)
-
-
-@cached
-def begin_all(*arguments):
-    """See ``beginning``."""
-    _begin(*arguments)
+judge_all, begin_all = judging(judge), beginning(reset, judge)

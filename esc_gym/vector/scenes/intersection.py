@@ -11,7 +11,6 @@ from highway_env.envs.intersection_env import (
     IntersectionEnv,
 )
 
-from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.geometry import heading_at, local_coordinates, position
 from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import clip, compiled, outlined
@@ -200,29 +199,5 @@ def judge(s, ego, head, action, c, parts):
     return 0.0 + reward, terminated, head.time >= c[DURATION]  # a sum: never -0.0
 
 
-_judge, _begin = judging(judge), beginning(reset, unjudged)
-_complete, _go_on = changing(complete, judge), changing(go_on, unjudged)
-
-
-@cached
-def judge_all(*arguments):
-    """See ``judging``."""
-    _judge(*arguments)
-
-
-@cached
-def begin_all(*arguments):
-    """See ``beginning``."""
-    _begin(*arguments)
-
-
-@cached
-def complete_all(*arguments):
-    """See ``changing``."""
-    _complete(*arguments)
-
-
-@cached
-def go_on_all(*arguments):
-    """See ``changing``."""
-    _go_on(*arguments)
+judge_all, begin_all = judging(judge), beginning(reset, unjudged)
+complete_all, go_on_all = changing(complete, judge), changing(go_on, unjudged)

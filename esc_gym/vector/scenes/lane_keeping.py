@@ -87,16 +87,4 @@ def prepare_all(
                 heads[e].lane = int(constants[SECOND])
 
 
-_judge, _begin = judging(judge), beginning(reset, judge)
-
-
-@cached
-def judge_all(*arguments):
-    """See ``judging``."""
-    _judge(*arguments)
-
-
-@cached
-def begin_all(*arguments):
-    """See ``beginning``."""
-    _begin(*arguments)
+judge_all, begin_all = judging(judge), beginning(reset, judge)

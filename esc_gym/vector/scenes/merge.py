@@ -12,7 +12,6 @@ from highway_env.envs.merge_env import (
     MergeGenericEnv,
 )
 
-from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.geometry import position
 from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import compiled, outlined
@@ -138,16 +137,4 @@ def judge(s, ego, head, action, c, parts):
     return lmap(reward, worst, best, 0, 1), terminated, False
 
 
-_judge, _begin = judging(judge), beginning(reset, judge)
-
-
-@cached
-def judge_all(*arguments):
-    """See ``judging``."""
-    _judge(*arguments)
-
-
-@cached
-def begin_all(*arguments):
-    """See ``beginning``."""
-    _begin(*arguments)
+judge_all, begin_all = judging(judge), beginning(reset, judge)

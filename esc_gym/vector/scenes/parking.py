@@ -125,19 +125,7 @@ def judge(s, ego, head, action, c, parts):
     return reward, crashed or near > -c[GOAL], head.time >= c[DURATION]
 
 
-_judge, _begin = judging(judge), beginning(reset, judge)
-
-
-@cached
-def judge_all(*arguments):
-    """See ``judging``."""
-    _judge(*arguments)
-
-
-@cached
-def begin_all(*arguments):
-    """See ``beginning``."""
-    _begin(*arguments)
+judge_all, begin_all = judging(judge), beginning(reset, judge)
 
 
 @cached

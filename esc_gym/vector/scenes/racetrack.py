@@ -17,7 +17,6 @@ from highway_env.envs.racetrack_env import (
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 
-from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.geometry import local_coordinates
 from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import libm, outlined
@@ -147,16 +146,4 @@ def judge(s, ego, head, action, c, parts):
     return reward, terminated, head.time >= c[DURATION]
 
 
-_judge, _begin = judging(judge), beginning(reset, judge)
-
-
-@cached
-def judge_all(*arguments):
-    """See ``judging``."""
-    _judge(*arguments)
-
-
-@cached
-def begin_all(*arguments):
-    """See ``beginning``."""
-    _begin(*arguments)
+judge_all, begin_all = judging(judge), beginning(reset, judge)

@@ -13,7 +13,6 @@ from highway_env.envs.roundabout_env import (
 )
 from highway_env.vehicle.controller import MDPVehicle
 
-from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.geometry import heading_at, position
 from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import outlined
@@ -149,16 +148,4 @@ def judge(s, ego, head, action, c, parts):
     return reward * parts[ON_ROAD], me.crashed != 0, head.time >= c[DURATION]
 
 
-_judge, _begin = judging(judge), beginning(reset, judge)
-
-
-@cached
-def judge_all(*arguments):
-    """See ``judging``."""
-    _judge(*arguments)
-
-
-@cached
-def begin_all(*arguments):
-    """See ``beginning``."""
-    _begin(*arguments)
+judge_all, begin_all = judging(judge), beginning(reset, judge)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from highway_env.envs.two_way_env import TwoWayEnv
 
-from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.geometry import heading_at, position
 from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import outlined
@@ -71,16 +70,4 @@ def judge(s, ego, head, action, c, parts):
     return weighted(parts, c, 2), me.crashed != 0, False
 
 
-_judge, _begin = judging(judge), beginning(reset, judge)
-
-
-@cached
-def judge_all(*arguments):
-    """See ``judging``."""
-    _judge(*arguments)
-
-
-@cached
-def begin_all(*arguments):
-    """See ``beginning``."""
-    _begin(*arguments)
+judge_all, begin_all = judging(judge), beginning(reset, judge)

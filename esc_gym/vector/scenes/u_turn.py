@@ -6,7 +6,6 @@ from typing import Any
 
 from highway_env.envs.u_turn_env import ConnectedLaneUTurnEnv, UTurnEnv
 
-from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.geometry import position
 from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import clip, outlined
@@ -95,16 +94,4 @@ def judge(s, ego, head, action, c, parts):
     return reward * parts[ON_ROAD], me.crashed != 0, head.time >= c[DURATION]
 
 
-_judge, _begin = judging(judge), beginning(reset, judge)
-
-
-@cached
-def judge_all(*arguments):
-    """See ``judging``."""
-    _judge(*arguments)
-
-
-@cached
-def begin_all(*arguments):
-    """See ``beginning``."""
-    _begin(*arguments)
+judge_all, begin_all = judging(judge), beginning(reset, judge)

@@ -268,7 +268,7 @@ def test_bad_snapshots_change_nothing():
     others.reset(seed=0)
     for bad, message in (
         (b"", "damaged, or of another version"),
-        (data.replace(b"snapshot 1", b"snapshot 9"), "another version"),
+        (data.replace(b"snapshot 2", b"snapshot 1"), "another version"),
         (data[:-5], "damaged"),
         (bytes(damaged), "damaged"),
         (others.snapshot(), "of other environments"),
