@@ -145,7 +145,9 @@ class SACConfig(Model):
     gamma: Probability = 0.98
     tau: Probability = 0.005
     train_freq: PositiveInt = 1
+    """Steps of each environment between two rounds of updates."""
     gradient_steps: Annotated[int, Field(ge=-1)] = 1
+    """Updates in a round, whatever the number of environments; -1: one for each of their steps."""
     net_arch: tuple[PositiveInt, ...] = (128, 128)
     """Hidden widths of the actor and of the critics after the features extractor."""
 
