@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from esc_gym.registration import NAMESPACE
 from esc_gym.vector.environment import SetVectorEnv
-from esc_gym.vector.infos import row
+from esc_gym.vector.infos import rows
 from esc_gym.vector.measures import Measured
 
 
@@ -75,11 +75,11 @@ class Episodes:
             "r": sum(rewards.tolist()),
             "l": length,
             "crashed": int(self.crashed[e]),
-            "speed": float(np.mean(speeds)),
+            "speed": float(speeds.sum() / length),
             "progress": float(self.progress[e]),
             "off_road": int(self.off_road[e]) / length,
             "lane_changes": int(self.changes[e]),
-            "vehicles": float(np.mean(counts)),
+            "vehicles": float(counts.sum() / length),
             "min_ttc": float(self.least_time[e]),
             "seed": self.seeds[e],
         }
@@ -147,14 +147,14 @@ class SetVecEnv(VecEnv):
         observations, infos = self.envs.reset(seed=seeds, options={"reset_mask": chosen})
         self.episodes.begin(chosen, seeds)
         for e in np.flatnonzero(chosen).tolist():
-            self._begun[e] = infos, e
+            self._begun[e] = infos
         self.episodes.note_lanes(chosen, self.envs.measure(self.collisions))
         return observations
 
     @property
     def reset_infos(self) -> list[dict[str, Any]]:  # type: ignore[override]
         """What each environment said at its last reset."""
-        return [row(*begun) if begun else {} for begun in self._begun]
+        return [rows(infos, [e])[0] if infos else {} for e, infos in enumerate(self._begun)]
 
     @reset_infos.setter
     def reset_infos(self, infos: Any) -> None:  # type: ignore[override]
@@ -171,14 +171,14 @@ class SetVecEnv(VecEnv):
         rewards, terminated = self._judged(rewards, terminated, measured)
         self.episodes.add(rewards, infos["set"]["count"], measured)
         dones, listed = terminated | truncated, self._listed(infos, measured)
-        for e in np.flatnonzero(dones).tolist():
-            listed[e] = {
-                **row(infos, e),
-                "terminal_observation": {name: x[e].copy() for name, x in observations.items()},
-                "TimeLimit.truncated": bool(truncated[e] and not terminated[e]),
-                "episode": {**self.episodes.summary(e), "t": time.time() - self._start},
-            }
-        if dones.any():
+        if ended := np.flatnonzero(dones).tolist():
+            last = {name: part[ended] for name, part in observations.items()}
+            for i, (e, info) in enumerate(zip(ended, rows(infos, ended), strict=True)):
+                listed[e] = info | {
+                    "terminal_observation": {name: part[i] for name, part in last.items()},
+                    "TimeLimit.truncated": bool(truncated[e] and not terminated[e]),
+                    "episode": {**self.episodes.summary(e), "t": time.time() - self._start},
+                }
             observations = self._begin(dones, [None] * self.num_envs)
         return _copied(observations), rewards.astype(np.float32), dones, listed
 

@@ -152,13 +152,16 @@ class Engine:
 
     def _share_out(self, work: Any, *arguments: Any, alone: bool = False) -> None:
         """``work`` on all environments; threads that are free take the next part, if not alone."""
+        if alone:
+            work((0, len(self.ends), self._shares[0][2]), *arguments)
+            return
         shares = iter(self._shares)
 
         def take() -> None:
             for share in shares:
                 work(share, *arguments)
 
-        helpers = 0 if alone else min(self._threads, len(self._shares)) - 1
+        helpers = min(self._threads, len(self._shares)) - 1
         if self._pool is None and helpers:
             self._pool = ThreadPoolExecutor(helpers)
         pool: Any = self._pool
@@ -172,10 +175,11 @@ class Engine:
 
     def reset(self, seeds: Sequence[int | None], mask: np.ndarray) -> None:
         """Make new scenes where ``mask`` [E] says so, from the seeds or from where they are."""
+        unseeded: Any = ~self.state.generators[:, ROAD].any(axis=1)
         begun = {
             e: seeding.np_random(seeds[e])
             for e in np.flatnonzero(mask).tolist()
-            if seeds[e] is not None or not self.state.generators[e, ROAD].any()
+            if seeds[e] is not None or unseeded[e]
         }  # all of them first: a bad seed changes nothing
         for e, (generator_, seed) in begun.items():
             self.state.generators[e, ROAD] = row(generator_)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -67,15 +68,20 @@ def add_final(infos: Infos, engine: Any, actions: np.ndarray, ended: np.ndarray)
     infos.update(masked({"final_obs": observations, "final_info": last}, ended))
 
 
-def row(infos: Infos, e: int) -> Infos:
-    """What environment ``e`` says: the info that ``gym.make`` gives, ids without their padding."""
-    found = {}
-    for name, value in infos.items():
-        if not name.startswith("_") and infos[f"_{name}"][e]:
-            found[name] = row(value, e) if isinstance(value, dict) else value[e]
-    if "set" in found:
-        kept = found["set"]["count"] - found["set"]["overflow"]
-        found["set"]["ids"] = tuple(found["set"]["ids"][:kept].tolist())
+def rows(infos: Infos, chosen: Sequence[int]) -> list[Infos]:
+    """What some environments say: infos as ``gym.make`` gives them, ids without their padding."""
+    found: list[Infos] = [{} for _ in chosen]
+    for name, values in infos.items():
+        if name.startswith("_"):
+            continue
+        parts = rows(values, chosen) if isinstance(values, dict) else [values[e] for e in chosen]
+        for info, part, said in zip(found, parts, infos[f"_{name}"][chosen].tolist(), strict=True):
+            if said:
+                info[name] = part
+    for info in found:
+        if "set" in info:
+            part = info["set"]
+            part["ids"] = tuple(part["ids"][: part["count"] - part["overflow"]].tolist())
     return found
 
 

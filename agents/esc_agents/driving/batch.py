@@ -13,7 +13,7 @@ from esc_agents.config import TrainConfig
 from esc_agents.driving.environments import env_config, named_version, observation_arguments
 from esc_agents.driving.wrappers import REFERENCE_SPEED, not_finite
 from esc_gym.sb3 import SetVecEnv
-from esc_gym.vector.infos import row
+from esc_gym.vector.infos import rows
 from esc_gym.vector.measures import Measured
 
 
@@ -134,7 +134,8 @@ class BatchVecEnv(SetVecEnv):
     def _listed(self, infos: dict[str, Any], measured: Measured) -> list[dict[str, Any]]:
         if not self.evaluation:
             return super()._listed(infos, measured)
-        return [{} if rests else row(infos, e) for e, rests in enumerate(self.resting)]
+        said = rows(infos, range(self.num_envs))
+        return [{} if rests else info for rests, info in zip(self.resting, said, strict=True)]
 
     def _check(self, rewards: np.ndarray) -> None:
         """Raises ValueError where something that was returned is NaN or infinite."""

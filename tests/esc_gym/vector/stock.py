@@ -35,7 +35,7 @@ def batch(env_id: str, count: int, config: dict[str, Any], **arguments: Any) -> 
 
 def row(infos: dict[str, Any], e: int) -> dict[str, Any]:
     """The info of environment ``e``, as a single environment has it."""
-    found = infos_module.row(infos, e)
+    found = infos_module.rows(infos, [e])[0]
     for name in ("agents_rewards", "agents_terminated"):
         if name in found:
             found[name] = tuple(found[name].tolist())
