@@ -50,7 +50,7 @@ def test_a_batch_beside_single_environments(benchmark: Any, env_id: str) -> None
         envs.seed(0)
         envs.reset()
     runs = {"single": steps(single, 1), "batch": steps(ours, 4)}
-    best = fastest(runs, rounds=4)
+    best = fastest(runs, rounds=12)  # two threads want two quiet processors
     benchmark.pedantic(runs["batch"], rounds=3)
     ratio = 4 * best["single"] / best["batch"]
     each = 1e6 * best["batch"] / (4 * STEPS * ENVIRONMENTS)
