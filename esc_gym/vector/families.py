@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ContinuousAction, DiscreteAction, DiscreteMetaAction
@@ -73,6 +74,9 @@ def family_of(base: Any) -> tuple[Any, str]:
         return None, "policy steps that are shorter than sub-steps"
     if getattr(family, "META_ONLY", False) and not isinstance(base.action_type, DiscreteMetaAction):
         return None, "actions that are no meta-actions"
+    weights = [base.config.get(name, 0) for name in family.REWARDS]
+    if not all(isinstance(x, int | float) and not isinstance(x, np.generic) for x in weights):
+        return None, "weights of rewards that are not Python's numbers"
     if capacity_of(family, base) > 1 and len(base.road.vehicles) < 2:
         return None, "no traffic to read the drivers off"
     reason = (

@@ -11,7 +11,7 @@ from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import clip, outlined
 from esc_gym.vector.generators import random
 from esc_gym.vector.kernel import beginning, judging
-from esc_gym.vector.scenes.roads import create_random, lmap, plan, wanted_lane, weighted
+from esc_gym.vector.scenes.roads import create_random, lmap, plan, wanted_lane, weighted, weights
 
 CLASSES = (ExitEnv, ConnectedLaneExitEnv)
 REWARDS = {
@@ -26,8 +26,8 @@ REPEATED = Repeated(
     (ExitEnv, "_reset step _create_road _create_vehicles _reward _rewards _is_success"),
     (ExitEnv, "_is_terminated _is_truncated"),
 )
-# Entries of the constants after the weights of the rewards; the rest are the lanes' chances.
-NORMALIZE, SLOW, FAST, DURATION, SPACING, OTHERS, DENSITY, EXIT, RAMP, CHANCES = range(4, 14)
+# Entries of the constants after ``weights``; the rest are the lanes' chances.
+NORMALIZE, SLOW, FAST, DURATION, SPACING, OTHERS, DENSITY, EXIT, RAMP, CHANCES = range(5, 15)
 
 
 def unknown(env: Any) -> str:
@@ -51,7 +51,7 @@ def constants(env: Any, network: Any) -> list[float]:
     config, lanes = env.config, np.arange(env.config["lanes_count"])
     chances = (lanes / lanes.sum()).cumsum()
     return [
-        *(config.get(name, 0) for name in REWARDS),
+        *weights(config, REWARDS),
         config["normalize_reward"], *config["reward_speed_range"], config["duration"],
         config["ego_spacing"], 1 / config["vehicles_density"], np.exp(-5 / 40 * len(lanes)),
         lane(env, network), network.numbers["2", "exit", 0], *(chances / chances[-1]),

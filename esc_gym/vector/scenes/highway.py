@@ -18,6 +18,7 @@ from esc_gym.vector.scenes.roads import (
     randomize,
     wanted_lane,
     weighted,
+    weights,
 )
 
 CLASSES = (HighwayEnv, HighwayEnvFast)
@@ -32,8 +33,8 @@ REPEATED = Repeated(
     (HighwayEnv, "_reward _rewards _is_terminated _is_truncated"),
     (HighwayEnvFast, "_create_vehicles"),
 )
-# Entries of the constants after the weights of the rewards.
-NORMALIZE, SLOW, FAST, OFFROAD_TERMINAL, DURATION, LANE, SPACING, OTHERS, DENSITY = range(4, 13)
+# Entries of the constants after ``weights``.
+NORMALIZE, SLOW, FAST, OFFROAD_TERMINAL, DURATION, LANE, SPACING, OTHERS, DENSITY = range(5, 14)
 
 
 def unknown(env: Any) -> str:
@@ -53,7 +54,7 @@ def constants(env: Any, network: Any) -> list[float]:
     """The configuration as numbers."""
     config, lane = env.config, env.config["initial_lane_id"]
     return [
-        *(config.get(name, 0) for name in REWARDS),
+        *weights(config, REWARDS),
         config["normalize_reward"], *config["reward_speed_range"], config["offroad_terminal"],
         config["duration"], -1 if lane is None else lane, config["ego_spacing"],
         1 / config["vehicles_density"], np.exp(-5 / 40 * config["lanes_count"]),

@@ -27,6 +27,7 @@ from esc_gym.vector.scenes.roads import (
     plan,
     randomize,
     weighted,
+    weights,
 )
 
 CLASSES = (IntersectionEnv, ConnectedLaneIntersectionEnv, ContinuousIntersectionEnv)
@@ -44,11 +45,11 @@ REPEATED = Repeated(
     (IntersectionEnv, "_reward _rewards _agent_reward _agent_rewards _agent_is_terminal"),
     (IntersectionEnv, "_is_terminated _is_truncated _info has_arrived"),
 )
-# Entries of the constants after the weights of the rewards; then the four incoming lanes, for every
+# Entries of the constants after ``weights``; then the four incoming lanes, for every
 # lane whether it leads out, and where the first vehicles come.
 (
     SLOW, FAST, NORMALIZE, OFFROAD_TERMINAL, DURATION, SPAWNING, GOING, INITIAL, INCOMING,
-) = range(4, 13)  # fmt: skip
+) = range(5, 14)  # fmt: skip
 OUT = INCOMING + 4
 
 
@@ -75,7 +76,7 @@ def constants(env: Any, network: Any) -> list[float]:
     """The configuration as numbers."""
     config, going = env.config, env.config["destination"]
     return [
-        *(config.get(name, 0) for name in REWARDS), *config["reward_speed_range"],
+        *weights(config, REWARDS), *config["reward_speed_range"],
         config["normalize_reward"], config["offroad_terminal"], config["duration"],
         config["spawn_probability"], DESTINATIONS.index(going) if going else -1,
         config["initial_vehicle_count"],

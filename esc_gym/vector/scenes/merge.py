@@ -18,7 +18,7 @@ from esc_gym.fastsim.numerics import compiled, outlined
 from esc_gym.fastsim.records import CONTROLLED
 from esc_gym.vector.generators import below, uniform
 from esc_gym.vector.kernel import beginning, judging
-from esc_gym.vector.scenes.roads import added, create, lmap, weighted
+from esc_gym.vector.scenes.roads import added, create, lmap, weighted, weights
 
 CLASSES = (MergeEnv, ConnectedLaneMergeEnv, MergeGenericEnv, ConnectedLaneMergeGenericEnv)
 META_ONLY = True
@@ -32,8 +32,8 @@ REPEATED = Repeated(
     (MergeEnv, "_reset _make_road _make_vehicles _reward _rewards _is_terminated _is_truncated"),
     (MergeGenericEnv, "__init__ _make_road _make_vehicles _is_terminated _is_truncated"),
 )
-# Entries of the constants after the weights of the rewards.
-SLOW, FAST, END, PARALLEL, RAMP, GENERIC, LANES, OTHERS, LENGTH = range(5, 14)
+# Entries of the constants after ``weights``.
+SLOW, FAST, END, PARALLEL, RAMP, GENERIC, LANES, OTHERS, LENGTH = range(6, 15)
 SAFE, TRIES = 15.0, 10
 
 
@@ -58,7 +58,7 @@ def constants(env: Any, network: Any) -> list[float]:
     parallel = network.numbers.get(("b", "c", 2), -1)
     sections = "before_merge_length", "converge_merge_length", "parallel_merge_length"
     return [
-        *(config.get(name, 0) for name in REWARDS),
+        *weights(config, REWARDS),
         *config["reward_speed_range"], env.end_position if generic else 370, parallel,
         network.numbers["j", "k", 0], generic,
         *((config["lanes_count"], config["vehicles_count"]) if generic else (2, 3)),

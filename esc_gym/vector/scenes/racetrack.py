@@ -23,7 +23,7 @@ from esc_gym.fastsim.numerics import libm, outlined
 from esc_gym.fastsim.records import STRAIGHT
 from esc_gym.vector.generators import below, uniform
 from esc_gym.vector.kernel import beginning, judging
-from esc_gym.vector.scenes.roads import distance, lmap, make_on_lane, on_road, weighted
+from esc_gym.vector.scenes.roads import distance, lmap, make_on_lane, on_road, weighted, weights
 
 CLASSES = (
     RacetrackEnv, ConnectedLaneRacetrackEnv, RacetrackEnvLarge, ConnectedLaneRacetrackEnvLarge,
@@ -42,9 +42,9 @@ REPEATED = Repeated(
     (RacetrackEnvOval, "_make_road _make_vehicles"),
     (RoadNetwork, "random_lane_index"),
 )
-# Entries of the constants after the weights of the rewards; then for each node, in order, how many
+# Entries of the constants after ``weights``; then for each node, in order, how many
 # roads begin there, and the first ROADS_FROM_ONE of them.
-COST, OFF_ROAD_ENDS, DURATION, OTHERS, STARTS, START, FRONT, NODES, ROADS = range(4, 13)
+COST, OFF_ROAD_ENDS, DURATION, OTHERS, STARTS, START, FRONT, NODES, ROADS = range(5, 14)
 ROADS_FROM_ONE = 4
 
 
@@ -77,7 +77,7 @@ def constants(env: Any, network: Any) -> list[float]:
         roads = [network.numbers[start, end, 0] for end in ends]
         nodes += [len(roads), *roads, *[0] * (ROADS_FROM_ONE - len(roads))]
     return [
-        *(config.get(name, 0) for name in REWARDS),
+        *weights(config, REWARDS),
         config["lane_centering_cost"], config["terminate_off_road"], config["duration"],
         config["other_vehicles"], config["no_lanes"] if oval else 2, network.numbers["a", "b", 0],
         network.numbers["b", "c", 0], len(graph), *nodes,

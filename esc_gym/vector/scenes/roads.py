@@ -157,8 +157,17 @@ def lmap(v, x0, x1, y0, y1):
     return y0 + (v - x0) * (y1 - y0) / (x1 - x0)
 
 
-# From Python 3.12 on, ``sum`` carries the rounding errors of floats along (but not of NumPy's).
+# From Python 3.12 on, ``sum`` carries the rounding errors of floats along, but not those of NumPy's
+# floats, nor of adding integers.
 _COMPENSATED = sys.version_info >= (3, 12)
+
+
+def weights(config: dict[str, Any], rewards: dict[str, type]) -> list[float]:
+    """The weights of ``rewards`` by name, and a bit for each whose product is a Python integer."""
+    found = [config.get(name, 0) for name in rewards]
+    whole = [kind in (bool, int) and isinstance(weight, int)
+             for weight, kind in zip(found, rewards.values(), strict=True)]  # fmt: skip
+    return [*found, sum(bit << index for index, bit in enumerate(whole))]
 
 
 @compiled
@@ -171,18 +180,22 @@ def added(total, lost, term):
 
 
 @compiled
-def weighted(parts, weights, floats):
+def weighted(parts, c, floats):
     """``sum(weight * reward)`` over a reward's parts, as Python adds them.
 
-    floats: how many parts there are before the first that is a NumPy number.
+    c: begins with ``weights``. floats: how many parts there are before the first that is a NumPy
+    number.
     """
-    total, lost = weights[0] * parts[0], 0.0
-    for index in range(1, len(parts)):
-        term = weights[index] * parts[index]
-        if index < floats:
-            total, lost = added(total, lost, term)
-        else:
+    total, lost, whole, inexact = 0.0, 0.0, np.int64(c[len(parts)]), False
+    for index in range(len(parts)):
+        term = c[index] * parts[index]
+        if index >= floats:
             total, lost = total + lost + term, 0.0
+        elif whole >> index & 1 or not inexact:
+            total += term
+        else:
+            total, lost = added(total, lost, term)
+        inexact = inexact or not whole >> index & 1
     return total + lost
 
 

@@ -28,6 +28,7 @@ from esc_gym.vector.scenes.roads import (
     randomize,
     speed_number,
     weighted,
+    weights,
 )
 
 CLASSES = (
@@ -54,8 +55,8 @@ SPAWN = (
     ("we", "sx"), ("sx", "se"), ("ee", "nx"), ("nx", "ne"),
     ("eer", "ees"), ("ner", "nes"), ("wer", "wes"),
 )  # fmt: skip
-# Entries of the constants after the weights of the rewards; then the roads above, target speeds.
-NORMALIZE, DURATION, START, INNER, OUTER, ENTRY, GENERIC, OTHERS, GOING, ROADS = range(4, 14)
+# Entries of the constants after ``weights``; then the roads above, target speeds.
+NORMALIZE, DURATION, START, INNER, OUTER, ENTRY, GENERIC, OTHERS, GOING, ROADS = range(5, 15)
 SPEEDS = ROADS + len(SPAWN)
 SAFE, TRIES = 7.0, 10
 
@@ -81,7 +82,7 @@ def constants(env: Any, network: Any) -> list[float]:
     config, number = env.config, network.numbers
     generic, going = isinstance(env, RoundaboutGenericEnv), config["incoming_vehicle_destination"]
     return [
-        *(config.get(name, 0) for name in REWARDS),
+        *weights(config, REWARDS),
         config["normalize_reward"], config["duration"], number["ser", "ses", 0],
         number["we", "sx", 0], number.get(("we", "sx", 1), -1), number["eer", "ees", 0],
         generic, config.get("vehicles_count", 4), -1 if going is None else min(going, 3),

@@ -12,7 +12,7 @@ from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import outlined
 from esc_gym.vector.generators import normal
 from esc_gym.vector.kernel import beginning, judging
-from esc_gym.vector.scenes.roads import create, speed_number, weighted
+from esc_gym.vector.scenes.roads import create, speed_number, weighted, weights
 
 CLASSES = (TwoWayEnv,)
 META_ONLY = True
@@ -22,8 +22,8 @@ REPEATED = Repeated(
     "b2a31a962c428b2810f4b8503bd66a5d8d21aa4734321a37dba30a10c24a8c86",
     (TwoWayEnv, "_reset _make_road _make_vehicles _reward _rewards _is_terminated _is_truncated"),
 )
-# Entries of the constants after the weights of the rewards; the rest are the target speeds.
-RIGHT, ONCOMING, SPEEDS = range(2, 5)
+# Entries of the constants after ``weights``; the rest are the target speeds.
+RIGHT, ONCOMING, SPEEDS = range(3, 6)
 
 
 def unknown(env: Any) -> str:
@@ -34,7 +34,7 @@ def unknown(env: Any) -> str:
 def constants(env: Any, network: Any) -> list[float]:
     """The configuration as numbers."""
     return [
-        *(env.config.get(name, 0) for name in REWARDS),
+        *weights(env.config, REWARDS),
         network.numbers["a", "b", 1], network.numbers["b", "a", 0],
         *env.action_type.target_speeds,
     ]  # fmt: skip

@@ -20,6 +20,7 @@ from esc_gym.vector.scenes.roads import (
     plan,
     randomize,
     weighted,
+    weights,
 )
 
 CLASSES = (UTurnEnv, ConnectedLaneUTurnEnv)
@@ -33,8 +34,8 @@ REPEATED = Repeated(
     "294915219178ba21b411fdfa913f8a2b1279d2cdbc6d8ab25afbfad0a13b5377",
     (UTurnEnv, "_reset _make_road _make_vehicles _reward _rewards _is_terminated _is_truncated"),
 )
-# Entries of the constants after the weights of the rewards; then the lanes of the six others.
-NORMALIZE, SLOW, FAST, DURATION, START, PLACES = range(4, 10)
+# Entries of the constants after ``weights``; then the lanes of the six others.
+NORMALIZE, SLOW, FAST, DURATION, START, PLACES = range(5, 11)
 
 
 def unknown(env: Any) -> str:
@@ -56,7 +57,7 @@ def constants(env: Any, network: Any) -> list[float]:
         (number["c", "d", 0], 1.0, 3.5), (number["c", "d", 1], 30.0, 5.5),
     ]  # fmt: skip
     return [
-        *(config.get(name, 0) for name in REWARDS),
+        *weights(config, REWARDS),
         config["normalize_reward"], *config["reward_speed_range"], config["duration"],
         number["a", "b", 0], *(value for place in places for value in place),
     ]  # fmt: skip
