@@ -27,7 +27,7 @@ slow: setup
 
 exact: setup
 	$(BIN)/pytest tests/esc_gym/fastsim/test_exactness.py tests/esc_gym/vector/test_configurations.py \
-		--exact-seeds 100 -n $(WORKERS)
+		--exact-seeds 100 -n $(WORKERS) -m ''
 
 bench: setup
 	$(BIN)/pytest tests/benchmarks --benchmark-enable -o norecursedirs=.* -s

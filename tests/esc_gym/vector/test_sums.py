@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numba
 import numpy as np
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from esc_gym.vector.scenes.roads import weighted, weights
 
@@ -23,6 +23,7 @@ def compiled_sum(parts: Any, c: Any, before: int) -> float:
     return weighted(parts, c, before)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(TERMS, st.integers(0, 6))
 def test_a_reward_is_added_up_as_python_does(terms, before):
     """Integers, floats and, from ``before`` on, NumPy's floats."""
