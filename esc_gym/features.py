@@ -17,6 +17,8 @@ from typing import Any, Literal
 
 from highway_env.vehicle.kinematics import Vehicle
 
+from esc_gym.measures import time_to
+
 Frame = Literal["world", "ego"]
 
 
@@ -144,6 +146,39 @@ def _destination(vehicle: Any) -> tuple[float, float]:
     return x, y
 
 
+def _relative(ego: EgoView, other: Any) -> tuple[float, float]:
+    """Position relative to the ego, in the frame of the observation [m]."""
+    x, y = other.position.tolist()
+    dx, dy = x - ego.x, y - ego.y
+    return ego.forward(dx, dy), ego.right(dx, dy)
+
+
+def near_along(x: float) -> float:
+    """Closeness along: 1 beside the ego, 1/2 at 20 m, 1/5 at 40 m."""
+    x = x / 20.0
+    return 1.0 / (1.0 + x * x)
+
+
+def near_across(y: float) -> float:
+    """Closeness across: 1 in line with the ego, 1/2 half a lane away (2 m), 1/17 a lane away."""
+    y = y / 2.0
+    square = y * y
+    return 1.0 / (1.0 + square * square)
+
+
+def _near(ego: EgoView, other: Any, lanes: float, side: float) -> float:
+    """Closeness to where the ego is, or so many lanes to the right; ahead (side 1), behind (-1)."""
+    x, y = _relative(ego, other)
+    if x * side < 0.0:
+        return 0.0
+    return near_along(x) * near_across(y - 4.0 * lanes)
+
+
+def _urgency(ego: EgoView, other: Any) -> float:
+    """1/(1 + t), t seconds to their collision if both keep their velocities; 0 for never."""
+    return 1.0 / (1.0 + time_to(ego.vehicle, other))
+
+
 VEHICLE_FEATURES: dict[str, VehicleFeature] = {
     "x": VehicleFeature("m", _distance, "relative position, forward"),
     "y": VehicleFeature("m", _distance, "relative position, to the right"),
@@ -160,6 +195,21 @@ VEHICLE_FEATURES: dict[str, VehicleFeature] = {
     "sin_d": VehicleFeature("1", _symmetric(1.0),
                             "direction to its destination, right part; 0 without a route",
                             lambda e, o: e.right(*_destination(o))),
+    "near_x": VehicleFeature("1", _upto(1.0), "closeness along: 1 beside the ego, 1/2 at 20 m",
+                             lambda e, o: near_along(_relative(e, o)[0])),
+    "near_y": VehicleFeature("1", _upto(1.0), "closeness across: 1 in line, 1/2 half a lane away",
+                             lambda e, o: near_across(_relative(e, o)[1])),
+    "ahead": VehicleFeature("1", _upto(1.0), "closeness in the ego's lane, ahead of it",
+                            lambda e, o: _near(e, o, 0, 1.0)),
+    "behind": VehicleFeature("1", _upto(1.0), "closeness in the ego's lane, behind it",
+                             lambda e, o: _near(e, o, 0, -1.0)),
+    "left": VehicleFeature("1", _upto(1.0), "closeness to the place a lane to the ego's left",
+                           lambda e, o: _near(e, o, -1, 0.0)),
+    "right": VehicleFeature("1", _upto(1.0), "closeness to the place a lane to the ego's right",
+                            lambda e, o: _near(e, o, 1, 0.0)),
+    "urgency": VehicleFeature("1", _upto(1.0),
+                              "1/(1 + t), t seconds to a collision at constant velocities",
+                              _urgency),
 }  # fmt: skip
 
 

@@ -20,10 +20,11 @@ def time_to_collision(env: Any) -> float:
     """
     ego = env.vehicle
     others = [o for o in (*env.road.vehicles, *env.road.objects) if o.solid and o is not ego]
-    return min((_time_to(ego, other) for other in others), default=inf)
+    return min((time_to(ego, other) for other in others), default=inf)
 
 
-def _time_to(ego: Any, other: Any) -> float:
+def time_to(ego: Any, other: Any) -> float:
+    """Seconds until the ego touches ``other``, both velocities kept; inf if never."""
     c, s = cos(ego.heading), sin(ego.heading)
     turn = other.heading - ego.heading
     along, across = abs(cos(turn)), abs(sin(turn))

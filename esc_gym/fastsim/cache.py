@@ -30,7 +30,7 @@ _settings: Any = import_module("numba.core.config")
 VARIABLE = "ESC_GYM_CACHE_DIR"
 # Files of the package that hold compiled code, or what it is compiled from.
 _COMPILED = (
-    "fastsim/*.py", "vector/scenes/*.py",
+    "features.py", "fastsim/*.py", "vector/scenes/*.py",
     *(f"vector/{name}.py" for name in ("generators", "kernel", "measures", "observe", "state")),
 )  # fmt: skip
 # Without the interpreter's lock, so that threads share environments out among them.

@@ -80,7 +80,7 @@ def time_to_collision(s, ego):
 
 @compiled
 def time_to(s, i, j):
-    """``measures._time_to``."""
+    """``measures.time_to``."""
     me, other = s.vehicles[i], s.vehicles[j]
     c, d = libm_of(s.np.libm_cos, me.heading), libm_of(s.np.libm_sin, me.heading)
     turn = other.heading - me.heading

@@ -14,14 +14,19 @@ import numpy as np
 from esc_gym.fastsim.geometry import heading_at, local_coordinates, position
 from esc_gym.fastsim.numerics import compiled, dot, libm_of, outlined
 from esc_gym.fastsim.records import CONTROLLED, NO_LANE, OBSTACLE
-from esc_gym.features import EGO_FEATURES, VEHICLE_FEATURES
+from esc_gym.features import EGO_FEATURES, VEHICLE_FEATURES, near_across, near_along
 from esc_gym.vector import generators
+from esc_gym.vector.measures import time_to
 
 # The columns that are known here; their numbers are what the compiled code is told.
 VEHICLE_COLUMNS = (
     "x", "y", "vx", "vy", "cos_h", "sin_h", "obstacle", "length", "width", "cos_d", "sin_d",
+    "near_x", "near_y", "ahead", "behind", "left", "right", "urgency",
 )  # fmt: skip
-X, Y, VX, VY, COS_H, SIN_H, IS_OBSTACLE, LENGTH, WIDTH, COS_D, SIN_D = range(11)
+(
+    X, Y, VX, VY, COS_H, SIN_H, IS_OBSTACLE, LENGTH, WIDTH, COS_D, SIN_D,
+    NEAR_X, NEAR_Y, AHEAD, BEHIND, LEFT, RIGHT, URGENCY,
+) = range(18)  # fmt: skip
 EGO_COLUMNS = (
     "speed", "lat_off", "cos_lane", "sin_lane", "lanes_left", "lanes_right", "speed_limit",
     "target_speed", "target_lat_off", "lateral_speed", "yaw_rate", "dest_x", "dest_y",
@@ -164,8 +169,21 @@ def destination_direction(s, i):
     return dx / norm, dy / norm
 
 
+closeness_along, closeness_across = compiled(near_along), compiled(near_across)
+
+
+@compiled
+def closeness(what, x, y):
+    """``features._near``, and its two parts."""
+    if (what == AHEAD and x < 0.0) or (what == BEHIND and x > 0.0):
+        return 0.0
+    along = 1.0 if what == NEAR_Y else closeness_along(x)
+    lanes = 1.0 if what == RIGHT else (-1.0 if what == LEFT else 0.0)
+    return along * (1.0 if what == NEAR_X else closeness_across(y - 4.0 * lanes))
+
+
 @outlined
-def vehicle_row(s, view, i, spec, row):
+def vehicle_row(s, view, ego, i, spec, row):
     """The row of one vehicle or obstacle, scaled (``features.default_row`` and the extra ones)."""
     other = s.vehicles[i]
     c, n = libm_of(s.np.libm_cos, other.heading), libm_of(s.np.libm_sin, other.heading)
@@ -199,8 +217,12 @@ def vehicle_row(s, view, i, spec, row):
             value = other.width
         elif what == COS_D:
             value = forward(view, goal_x, goal_y)
-        else:
+        elif what == SIN_D:
             value = right(view, goal_x, goal_y)
+        elif what == URGENCY:
+            value = 1.0 / (1.0 + time_to(s, ego, i))
+        else:
+            value = closeness(what, forward(view, dx, dy), right(view, dx, dy))
         row[column] = np.float32((value - spec.center[column]) / spec.half[column])
 
 
@@ -316,7 +338,7 @@ def observe(s, ego, e, spec, order_generator, ids, lane, next_id, out):
     elif spec.rules[ORDER] == SHUFFLED:
         generators.shuffle(order_generator, near, kept)
     for row in range(kept):
-        vehicle_row(s, view, near[row], spec, out.vehicles[e, row])
+        vehicle_row(s, view, ego, near[row], spec, out.vehicles[e, row])
         out.ids[e, row] = ids[near[row]]
         out.mask[e, row] = 1
     for row in range(kept, n):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import gymnasium as gym
 import highway_env  # noqa: F401
@@ -66,3 +67,38 @@ def test_extra_vehicle_features():
         offset = other.position[1] - env.unwrapped.vehicle.position[1]
         assert row == pytest.approx([0, 2, offset, *direction, 5], abs=1e-4)
     assert observation in env.observation_space
+
+
+def seen_from_an_ego(*others: tuple[float, float, float]) -> list[dict[str, float]]:
+    """Features of vehicles at (x, y) with a speed, seen by an ego that drives along x at 20 m/s."""
+    names = ["near_x", "near_y", "ahead", "behind", "left", "right", "urgency"]
+    env = gym.make("esc_gym/highway-v0", config={"vehicles_count": len(others)}, features=names)
+    env.reset(seed=0)
+    base: Any = env.unwrapped
+    ego, *rest = base.road.vehicles
+    ego.heading, ego.speed = 0.0, 20.0
+    for vehicle, (x, y, speed) in zip(rest, others, strict=True):
+        vehicle.position, vehicle.heading, vehicle.speed = (
+            ego.position + np.array([x, y]),
+            0.0,
+            speed,
+        )
+    rows = env.get_wrapper_attr("decode")(base.observation_type.observe())["vehicles"]
+    return [dict(zip(names, row, strict=True)) for row in rows[: len(others)].tolist()]
+
+
+def test_closeness():
+    ahead, behind, beside, far, here = seen_from_an_ego(
+        (20, 0, 10), (-40, 0, 20), (0, 4, 20), (80, -8, 20), (0, 0, 20)
+    )
+    approx = pytest.approx
+    assert ahead["near_x"] == approx(0.5)
+    assert ahead["near_y"] == approx(1.0)
+    assert (ahead["ahead"], ahead["behind"]) == approx((0.5, 0.0))
+    assert ahead["left"] == ahead["right"] == approx(0.5 / 17)
+    assert ahead["urgency"] == approx(1 / (1 + 15 / 10))  # 20 m less a length, at 10 m/s
+    assert (behind["ahead"], behind["behind"], behind["urgency"]) == approx((0.0, 0.2, 0.0))
+    assert (beside["right"], beside["near_y"]) == approx((1.0, 1 / 17))
+    assert beside["left"] == approx(1 / (1 + 4**4))
+    assert max(far[name] for name in ("near_x", "ahead", "left", "right")) < 0.1
+    assert [here[name] for name in ("near_x", "near_y", "ahead", "behind", "urgency")] == [1] * 5

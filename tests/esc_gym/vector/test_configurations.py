@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import load_env_creator
 
+from esc_gym.features import VEHICLE_FEATURES
 from esc_gym.registration import ENV_IDS, NAMESPACE
 from esc_gym.scenarios import scenario_of_class
 from tests.esc_gym.vector.stock import compare, resets
@@ -92,6 +93,7 @@ def drawn_observation(rng: np.random.Generator) -> dict[str, Any]:
         "perception_distance": float(rng.uniform(20, 250)),
         "frame": str(rng.choice(["world", "ego"])),
         "empty": str(rng.choice(["zeros", "virtual"])),
+        "features": [str(name) for name in rng.permutation(list(VEHICLE_FEATURES))[:9]],
     }
 
 

@@ -98,6 +98,10 @@ OBSERVATIONS = {
         "features": ["vy", "x", "cos_d", "sin_d", "width", "length"],
         "ego_features": ["yaw_rate", "dest_x", "dest_y", "target_speed", "lateral_speed"],
     },
+    "closeness": {
+        "features": ["near_x", "near_y", "ahead", "behind", "left", "right", "urgency"],
+        "frame": "ego",
+    },
 }
 
 
