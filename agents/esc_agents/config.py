@@ -28,6 +28,7 @@ from esc_gym.registration import ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
 SCHEMA = 1  # of the YAML files
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]  # what NumPy takes
+Schedule = Literal["constant", "linear"]
 
 
 def flow(value: Any) -> str:
@@ -117,7 +118,7 @@ class PPOConfig(Model):
     """Stable-Baselines3 PPO."""
 
     learning_rate: PositiveFloat = 5e-4
-    learning_rate_schedule: Literal["constant", "linear"] = "constant"
+    learning_rate_schedule: Schedule = "constant"
     """linear: the rate falls from `learning_rate` at the first step to 0 at the last."""
     n_steps: Annotated[int, Field(ge=2)] = 64
     """Steps per environment in one rollout."""
@@ -127,6 +128,8 @@ class PPOConfig(Model):
     gae_lambda: Probability = 0.95
     clip_range: PositiveFloat = 0.2
     ent_coef: NonNegativeFloat = 0.01
+    ent_coef_schedule: Schedule = "constant"
+    """linear: the coefficient falls to 0 at the last step."""
     vf_coef: NonNegativeFloat = 0.5
     max_grad_norm: PositiveFloat = 0.5
     ortho_init: bool = True
@@ -139,6 +142,8 @@ class SACConfig(Model):
     """Stable-Baselines3 SAC."""
 
     learning_rate: PositiveFloat = 3e-4
+    learning_rate_schedule: Schedule = "constant"
+    """linear: the rate falls from `learning_rate` at the first step to 0 at the last."""
     buffer_size: PositiveInt = 100_000
     learning_starts: NonNegativeInt = 500
     batch_size: Annotated[int, Field(ge=2)] = 256

@@ -73,6 +73,21 @@ class DrivingLog(BaseCallback):
         return True
 
 
+class EntropySchedule(BaseCallback):
+    """PPO's entropy coefficient, from ``ent_coef`` at the first step to 0 after the last."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        super().__init__()
+        self.ent_coef, self.steps = config.ppo.ent_coef, config.steps
+
+    def _on_rollout_end(self) -> None:
+        model: Any = self.model
+        model.ent_coef = self.ent_coef * max(0.0, 1 - self.num_timesteps / self.steps)
+
+    def _on_step(self) -> bool:
+        return True
+
+
 class FixedSeedEvaluation(BaseCallback):
     """Every ``every`` steps: the same episodes, appended to evaluations.npz; the best model."""
 

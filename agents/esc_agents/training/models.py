@@ -19,24 +19,25 @@ from esc_gym.extractors import SetExtractor
 from esc_gym.matching import parameter_count
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
-OURS = {"net_arch", "ortho_init", "learning_rate_schedule"}
+OURS = {"net_arch", "ortho_init", "learning_rate_schedule", "ent_coef_schedule"}
 """Hyperparameters that are no arguments of SB3's algorithms by these names."""
 
 
 def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
     """An untrained SB3 model of the run's algorithm and representation."""
     torch.set_num_threads(config.threads)
-    settings = config.hyperparameters.model_dump(exclude=OURS)
+    chosen = config.hyperparameters
+    settings = chosen.model_dump(exclude=OURS)
+    if chosen.learning_rate_schedule == "linear":
+        settings["learning_rate"] = LinearSchedule(chosen.learning_rate, 0.0, 1.0)
     policy: dict[str, Any] = {
         "features_extractor_class": SetExtractor,
         "features_extractor_kwargs": extractor_arguments(config),
-        "net_arch": list(config.hyperparameters.net_arch),
+        "net_arch": list(chosen.net_arch),
     }
     # One kernel instead of one per tensor and operation: the same Adam, a third less time.
     adam: dict[str, Any] = {"fused": True}
     if config.algo == "ppo":
-        if config.ppo.learning_rate_schedule == "linear":
-            settings["learning_rate"] = LinearSchedule(config.ppo.learning_rate, 0.0, 1.0)
         policy["ortho_init"] = config.ppo.ortho_init
         adam["eps"] = 1e-5  # what SB3 takes where it is given no arguments
     policy["optimizer_kwargs"] = adam

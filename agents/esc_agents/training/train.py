@@ -40,6 +40,7 @@ from esc_agents.training import checkpoint, run_directory
 from esc_agents.training.callbacks import (
     Checkpoints,
     DrivingLog,
+    EntropySchedule,
     Faults,
     FixedSeedEvaluation,
     MetricsWriter,
@@ -206,6 +207,8 @@ class Training:
         saved = Checkpoints(folder, config.checkpoint_every, lambda: stop.interrupted, say)
         faults = Faults(config)
         saved.callbacks = callbacks = [faults, DrivingLog(), evaluation, saved]
+        if config.algo == "ppo" and config.ppo.ent_coef_schedule == "linear":
+            callbacks.append(EntropySchedule(config))
         if found:
             checkpoint.resume(model, found, callbacks)
         try:

@@ -21,7 +21,7 @@ from esc_agents.driving.rule_driver import RuleDriver
 from esc_agents.driving.vectorised import vectorise
 from esc_agents.errors import UserError
 from esc_agents.training import callbacks, run_directory
-from esc_agents.training.models import load_model, new_model
+from esc_agents.training.models import ALGORITHMS, load_model, new_model
 from esc_agents.training.run_directory import STEP
 from esc_agents.training.train import train
 from esc_gym.fastsim import Report
@@ -109,6 +109,31 @@ def test_hyperparameters_reach_sb3(ppo_run, sac_run):
     assert {k: v for k, v in PPO_SETTINGS.items() if k != "net_arch"}.items() <= vars(ppo).items()
     assert vars(sac)["buffer_size"] == SAC_SETTINGS["buffer_size"]
     assert ppo.policy.net_arch == sac.policy.net_arch == [8]
+
+
+@pytest.mark.parametrize("algo", ["ppo", "sac"])
+def test_what_falls_falls_to_nothing(algo, tmp_path, monkeypatch):
+    """Learning rate and entropy coefficient at each update, a quarter of the run apart."""
+    rate = {"learning_rate": 4e-4, "learning_rate_schedule": "linear"}
+    settings = {
+        "ppo": {**PPO_SETTINGS, **rate, "n_steps": 16, "batch_size": 16,
+                "ent_coef": 0.04, "ent_coef_schedule": "linear"},
+        "sac": {**SAC_SETTINGS, **rate, "train_freq": 16, "learning_starts": 1},
+    }  # fmt: skip
+    seen = []
+
+    class Spy(ALGORITHMS[algo]):
+        def train(self, *args, **kwargs):
+            super().train(*args, **kwargs)
+            seen.append((self.policy.optimizer if algo == "ppo" else self.actor.optimizer)
+                        .param_groups[0]["lr"])  # fmt: skip
+            if algo == "ppo":
+                assert self.ent_coef == pytest.approx(100 * seen[-1])
+
+    monkeypatch.setitem(ALGORITHMS, algo, Spy)
+    config = tiny(run_dir=tmp_path / "run", algo=algo, n_envs=1, steps=64, **{algo: settings[algo]})
+    assert train(config)
+    assert seen == pytest.approx([3e-4, 2e-4, 1e-4, 0.0])
 
 
 def test_wrapper_json_rebuilds_the_observation(ppo_run):
