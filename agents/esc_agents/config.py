@@ -188,6 +188,9 @@ class TrainConfig(Model):
     """torch's threads on the CPU; more pay for wide networks and large batches on idle cores."""
     device: str = "auto"
     """torch device: auto, cpu, cuda, cuda:1."""
+    start_from: str | None = None
+    """Begin with the weights of another run, and nothing else of it: its directory, or zoo:NAME for
+    an agent that comes with the package."""
     run_dir: Path | None = None
     """New directory for the run; default: runs/<env>-<repr>-<algo>-<seed>-<time>."""
     checkpoint_every: PositiveInt = 10_000

@@ -31,7 +31,8 @@ VARIABLE = "ESC_GYM_CACHE_DIR"
 # Files of the package that hold compiled code, or what it is compiled from.
 _COMPILED = (
     "features.py", "fastsim/*.py", "vector/scenes/*.py",
-    *(f"vector/{name}.py" for name in ("generators", "kernel", "measures", "observe", "state")),
+    *(f"vector/{name}.py"
+      for name in ("columns", "generators", "kernel", "measures", "observe", "state")),
 )  # fmt: skip
 # Without the interpreter's lock, so that threads share environments out among them.
 _OPTIONS: Any = {"error_model": "numpy", "nogil": True}

@@ -9,19 +9,24 @@ from typing import Annotated
 import tyro
 from pydantic import BaseModel, ConfigDict, PositiveInt
 
+from esc_agents import pretrained
 from esc_agents.cli import Trust, guarded, parse
 from esc_agents.config import Mapping, Seed
+from esc_agents.errors import UserError
 
 PROGRAM = "esc-eval"
 
 
 class EvaluateArguments(BaseModel):
-    """Drive a trained run's policy on fixed seeds and say how it went."""
+    """Drive a trained policy on fixed seeds and say how it went: esc-eval RUN_DIR, or
+    esc-eval --pretrained NAME."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
-    run_dir: Annotated[Path, tyro.conf.Positional]
+    run_dir: Annotated[Path | None, tyro.conf.Positional] = None
     """Directory that esc-train wrote."""
+    pretrained: str | None = None
+    """In place of a directory: an agent that comes with esc-gym."""
     episodes: PositiveInt = 20
     seed: Seed = 2_000_000
     """Seed of the first episode; the others follow."""
@@ -51,9 +56,17 @@ def main() -> None:
 def command(args: list[str]) -> int:
     """0: done."""
     arguments = parse(PROGRAM, EvaluateArguments, args)
+    given = dict(arguments)
+    name = given.pop("pretrained")
+    if (name is None) == (given["run_dir"] is None):
+        raise UserError(
+            f"expected a run directory, or --pretrained with one of {', '.join(pretrained.names())}"
+        )
+    if name:
+        given["run_dir"] = pretrained.directory(name)
     from esc_agents.training.evaluation import evaluate_run
 
-    evaluate_run(**dict(arguments))
+    evaluate_run(**given)
     return 0
 
 

@@ -123,6 +123,10 @@ def factories(config: TrainConfig, count: int, **options: Any) -> list[Callable[
     return [EnvFactory(config, **options) for _ in range(count)]
 
 
+MEANING = ("features", "ego_features", "frame", "perception_distance", "ranges", "limits")
+"""What of ``wrapper_json`` weights depend on."""
+
+
 def wrapper_json(env: gym.Env) -> dict[str, Any]:
     """The observation of a run, resolved: what the model's inputs mean."""
     spec = asdict(env.get_wrapper_attr("set_spec"))

@@ -7,6 +7,7 @@ hold numbers and names: weights, and what the network around them is built from.
 from __future__ import annotations
 
 import hashlib
+import json
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,6 +25,7 @@ from torch import Tensor
 
 from esc_agents import files, strangers
 from esc_agents.config import TrainConfig
+from esc_agents.driving.environments import MEANING
 from esc_agents.errors import UserError
 from esc_gym.adaptation import pinned_arguments
 from esc_gym.extractors import SetExtractor
@@ -124,6 +126,40 @@ def save_policy(
     files.write_text(folder / f"{name}.json", text)
 
 
+def start_from(
+    policy: BasePolicy, folder: Path, algo: str, observation: dict[str, Any], trust: bool = False
+) -> int:
+    """Give an untrained policy the weights of the run in ``folder``; after how many steps they are.
+
+    observation: what wrapper.json says, of the policy's inputs. trust: as of ``load_policy``.
+    Raises UserError where that run saw, did, or is built otherwise; then nothing has changed.
+    """
+    name = "policy" if (folder / DESCRIPTION).exists() else "best_policy"
+    description, weights = _read(folder, name, trust)
+    here, there = json.loads(json.dumps(observation)), description.observation
+    what = next((key for key in MEANING if here[key] != there.get(key)), None)
+    if what:
+        raise UserError(
+            f"start_from {folder}: expected a run with the same observation, got {what} "
+            f"{there.get(what)} there and {here[what]} here"
+        )
+    if description.algo != algo or description.action.build() != policy.action_space:
+        raise UserError(
+            f"start_from {folder}: expected a run of {algo} with the actions "
+            f"{policy.action_space}, got {description.algo} and {description.action.build()}"
+        )
+    mine = {key: tuple(tensor.shape) for key, tensor in _weights(policy).items()}
+    theirs = {key: tuple(tensor.shape) for key, tensor in weights.items()}
+    if mine != theirs:
+        what = next(key for key in {**mine, **theirs} if mine.get(key) != theirs.get(key))
+        raise UserError(
+            f"start_from {folder}: expected the same network, got {what} {theirs.get(what)} there "
+            f"and {mine.get(what)} here; repr, encoder, net_arch and max_vehicles have to agree"
+        )
+    _set_weights(policy, weights)
+    return description.steps
+
+
 def load_policy(
     folder: Path, device: str = "cpu", name: str = "policy", trust: bool = False
 ) -> tuple[Any, int]:
@@ -132,6 +168,18 @@ def load_policy(
     trust: whether a description that this user did not write may name an encoder to import.
     Raises UserError where they are missing, damaged, or do not belong together.
     """
+    description, weights = _read(folder, name, trust)
+    described = folder / f"{name}.json"
+    try:
+        policy = description.build()
+        _set_weights(policy, weights)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise UserError(f"{described} does not describe the weights beside it: {error}") from error
+    policy.set_training_mode(False)
+    return policy.to(device), description.steps
+
+
+def _read(folder: Path, name: str, trust: bool) -> tuple[PolicyDescription, dict[str, Tensor]]:
     described, stored = folder / f"{name}.json", folder / f"{name}.safetensors"
     try:
         data = described.read_bytes()
@@ -152,12 +200,9 @@ def load_policy(
         )
     strangers.check(described, data, description.encoder, trust)
     try:
-        policy = description.build()
-        _set_weights(policy, load(weights))
-    except (SafetensorError, RuntimeError, ValueError, TypeError) as error:
+        return description, load(weights)
+    except SafetensorError as error:
         raise UserError(f"{described} does not describe the weights beside it: {error}") from error
-    policy.set_training_mode(False)
-    return policy.to(device), description.steps
 
 
 def _weights(policy: BasePolicy) -> dict[str, Tensor]:

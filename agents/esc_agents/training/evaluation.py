@@ -11,7 +11,7 @@ from typing import Any
 from esc_agents import files
 from esc_agents.config import TrainConfig, config_for_env, flow
 from esc_agents.driving.checks import check_env
-from esc_agents.driving.environments import actions, env_config, wrapper_json
+from esc_agents.driving.environments import MEANING, actions, env_config, wrapper_json
 from esc_agents.driving.episodes import Summary, as_rows, evaluate, model_policy, table
 from esc_agents.driving.films import film
 from esc_agents.driving.vectorised import vectorise
@@ -22,9 +22,6 @@ from esc_agents.training.callbacks import StopOnSignal
 from esc_agents.training.models import load_model
 from esc_gym.adaptation import adapt
 from esc_gym.registration import merge
-
-MEANING = ("features", "ego_features", "frame", "perception_distance", "ranges", "limits")
-"""What of wrapper.json the weights depend on."""
 
 
 def evaluate_run(

@@ -17,7 +17,7 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.vec_env import VecEnv
 from torch.utils.tensorboard import SummaryWriter
 
-from esc_agents import files
+from esc_agents import files, pretrained
 from esc_agents.config import TrainConfig
 from esc_agents.driving.baselines import action_names, blind_policies, rule_driver, verdict
 from esc_agents.driving.checks import check
@@ -31,7 +31,7 @@ from esc_agents.driving.episodes import (
     seeds,
     table,
 )
-from esc_agents.driving.policies import save_policy
+from esc_agents.driving.policies import save_policy, start_from
 from esc_agents.driving.rule_driver import RULE
 from esc_agents.driving.vectorised import closing, vectorise
 from esc_agents.errors import UserError, reason, say
@@ -70,6 +70,10 @@ def train(
         probe = check(config)
         envs, judges = (stack.enter_context(closing(made)) for made in _vectorised(config))
         model, found = _model(config, envs, resume, trust)
+        if config.start_from and found is None:
+            there = pretrained.run_of(config.start_from)
+            steps = start_from(model.policy, there, config.algo, wrapper_json(probe), trust)
+            say(f"Beginning with the weights of {there}, of {steps:,} steps")
         if resume:
             run_directory.note_session(resume, config)
         else:
