@@ -6,7 +6,7 @@ import pytest
 
 CHUNK = 5
 AT_ONCE = 1  # seeds in the ordinary tests; up to CHUNK is slow
-SEEDS_A_DRAW = 25  # for so many seeds, one more random configuration
+SEEDS_A_DRAW = 50  # for so many seeds, one more configuration: the own one, then random ones
 
 
 def pytest_addoption(parser):
