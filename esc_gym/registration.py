@@ -66,8 +66,18 @@ def make(
     merged = merge_config(env_class.default_config(), config or {})
     # Constructing observes once before ours is there: cheap, and no crash on continuous u-turns.
     merged["observation"] = {"type": "Kinematics"}
-    with original_behavior(utils.class_from_path(merged["other_vehicles_type"])):
+    with original_behavior(_driver(merged["other_vehicles_type"])):
         return SetObservation(_construct(env_class, merged, render_mode), **set_observation)
+
+
+def _driver(path: Any) -> Any:
+    try:
+        return utils.class_from_path(path)
+    except (AttributeError, ImportError, ValueError) as error:
+        raise ValueError(
+            "config['other_vehicles_type']: expected a class to import, such as "
+            f"'highway_env.vehicle.behavior.IDMVehicle', got {path!r}: {error}"
+        ) from error
 
 
 def _construct(
@@ -92,8 +102,10 @@ def _changes(config: dict[str, Any], default: dict[str, Any]) -> dict[str, Any]:
 def merge_config(default: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """highway-env's ``default`` configuration with ``changes`` merged in (see ``merge``).
 
-    Raises ValueError for a key that highway-env does not know.
+    Raises ValueError for a key that highway-env does not know, or a value that it cannot mean.
     """
+    if not isinstance(changes, Mapping):
+        raise ValueError(f"config: expected a mapping, got {changes!r}.")
     for key in changes:
         if key == "observation":
             raise ValueError(
@@ -107,18 +119,37 @@ def merge_config(default: dict[str, Any], changes: Mapping[str, Any]) -> dict[st
             raise ValueError(f"config: unknown key {key!r}; {hint}")
         if isinstance(default.get(key), dict) and not isinstance(changes[key], Mapping):
             raise ValueError(f"config[{key!r}]: expected a mapping, got {changes[key]!r}.")
-        _check_number(key, default.get(key), changes[key])
-    return merge(default, changes)
+        _check(key, default.get(key), changes[key])
+    merged = merge(default, changes)
+    lane, lanes = merged.get("initial_lane_id"), merged.get("lanes_count")
+    if lane is not None and lanes is not None and not (isinstance(lane, int) and lane < lanes):
+        raise ValueError(
+            f"config['initial_lane_id']: expected a whole number below {lanes}, got {lane!r}."
+        )
+    return merged
 
 
-def _check_number(key: str, default: Any, value: Any) -> None:
+def _check(key: str, default: Any, value: Any) -> None:
     """highway-env itself would fail later, or drive on an empty road."""
-    count = key.endswith("_count")
-    if isinstance(default, bool) or not isinstance(default, int | float):
+    number = isinstance(value, int | float | np.number) and value == value  # not NaN
+    whole = number and isinstance(value, int | np.integer)
+    if isinstance(default, bool):
         return
-    whole = isinstance(value, int | np.integer) and value >= 0
-    if not (whole if count else isinstance(value, int | float | np.number)):
-        expected = "a whole number of at least 0" if count else "a number"
+    if isinstance(default, list) and key.endswith("_range"):
+        good, expected = np.shape(value) == (2,), "two numbers"
+    elif not isinstance(default, int | float) and not key.endswith("_reward"):
+        return
+    elif key == "lanes_count":
+        good, expected = whole and value >= 1, "a whole number of at least 1"
+    elif key.endswith("_count"):
+        good, expected = whole and value >= 0, "a whole number of at least 0"
+    elif key.endswith(("_density", "_frequency")):
+        good, expected = number and value > 0, "a number above 0"
+    elif key == "duration":
+        good, expected = number and value >= 0, "a number of at least 0"
+    else:
+        good, expected = number, "a number"
+    if not good:
         raise ValueError(f"config[{key!r}]: expected {expected}, got {value!r}.")
 
 

@@ -177,7 +177,7 @@ class TrainConfig(Model):
     algo: Literal["ppo", "sac"] = "ppo"
     """sac drives with throttle and steering (`continuous`); ppo as the scenario says."""
     steps: PositiveInt = 100_000
-    """Training steps over all environments."""
+    """Training steps over all environments; PPO ends with a whole rollout."""
     seed: Seed = 0
     n_envs: PositiveInt = 8
     """Environments that training steps at once."""

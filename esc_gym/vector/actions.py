@@ -10,6 +10,7 @@ from highway_env.envs.common.action import ContinuousAction, DiscreteAction, Dis
 
 from esc_gym.fastsim.engine import COMMANDS, SPEED_STEPS
 from esc_gym.fastsim.records import KEEP
+from esc_gym.vector.arguments import actions_of
 
 NO_ACTIONS, NO_CONTROLS = np.zeros(0, np.int64), np.zeros((0, 2))
 
@@ -44,20 +45,7 @@ class Actions:
 
     def checked(self, actions: Any, count: int) -> np.ndarray:
         """The batch as an array of the shape that the action space has, or ValueError."""
-        actions = np.asarray(actions)
-        space = self.type.space()
-        shape = (count, *space.shape)
-        if actions.shape != shape:
-            raise ValueError(f"actions: expected shape {shape}, got {actions.shape}.")
-        if space.shape:
-            if not np.isfinite(actions).all():
-                raise ValueError("actions: expected finite numbers, got NaN or infinity.")
-        elif not np.issubdtype(actions.dtype, np.integer):
-            raise ValueError(f"actions: expected whole numbers, got {actions.dtype}.")
-        elif ((actions < 0) | (actions >= space.n)).any():
-            bad = actions[(actions < 0) | (actions >= space.n)][0]
-            raise ValueError(f"actions: expected 0 to {space.n - 1}, got {bad}.")
-        return actions
+        return actions_of(actions, self.type.space(), count)
 
     def taken(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(meta-actions [E], NO_CONTROLS), or (NO_ACTIONS, steering and acceleration [E, 2])."""

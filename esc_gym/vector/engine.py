@@ -27,11 +27,11 @@ from esc_gym.vector import observe
 from esc_gym.vector.actions import Actions, sizes_of
 from esc_gym.vector.families import capacity_of
 from esc_gym.vector.generators import generator, row
-from esc_gym.vector.kernel import RUNNING, Told, decide, observe_all
+from esc_gym.vector.kernel import Told, decide, observe_all
 from esc_gym.vector.measures import Measured, measure_all
 from esc_gym.vector.objects import follow_road
 from esc_gym.vector.scenes.roads import ROUTE_LENGTH, Plans, behavior_ranges
-from esc_gym.vector.state import ROAD, SHUFFLE, State
+from esc_gym.vector.state import ROAD, RUNNING, SHUFFLE, State
 
 # Parts of a batch for each thread, environments in a part at least, and few environments.
 PARTS, LEAST, FEW = 2, 4, 16

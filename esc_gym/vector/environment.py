@@ -6,7 +6,6 @@ import pickle
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy as shallow_copy
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -17,35 +16,23 @@ from gymnasium.vector.utils import batch_space
 
 from esc_gym import fastsim
 from esc_gym.fastsim.records import VEHICLE
-from esc_gym.measures import speed_along_lane, time_to_collision
 from esc_gym.registration import make
-from esc_gym.vector.arguments import at_least_one, index_of, mask_of, mode_of, seeds_of
+from esc_gym.vector.arguments import (
+    actions_of,
+    at_least_one,
+    index_of,
+    indices_of,
+    mask_of,
+    mode_of,
+    seeds_of,
+)
 from esc_gym.vector.engine import Engine
-from esc_gym.vector.families import family_of
+from esc_gym.vector.families import Report, family_of
 from esc_gym.vector.infos import Infos, add_final, add_step, infos_of, with_ids
-from esc_gym.vector.kernel import ENDED, RESTING, TERMINATED, TRUNCATED
+from esc_gym.vector.kernel import TERMINATED, TRUNCATED
 from esc_gym.vector.measures import Measured
-from esc_gym.vector.objects import materialise, reset_quietly
-from esc_gym.vector.state import HEAD, packed, unpack
-
-
-@dataclass(frozen=True)
-class Report:
-    """How a batch is simulated.
-
-    engine: in the batch engine. reason: why not, "" if it is. environments: of the environments
-    one by one, where they are not in the engine.
-    """
-
-    engine: bool
-    reason: str
-    environments: tuple[fastsim.Report, ...] = ()
-
-    def __str__(self) -> str:
-        if self.engine:
-            return "all environments in the batch engine"
-        lines = [f"environment {i}: {report}" for i, report in enumerate(self.environments)]
-        return "\n".join([f"each environment on its own: {self.reason}", *lines])
+from esc_gym.vector.objects import materialise, measured, reset_quietly
+from esc_gym.vector.state import ENDED, HEAD, RESTING, UNBORN, packed, unpack
 
 
 class SetVectorEnv(VectorEnv):
@@ -98,19 +85,20 @@ class SetVectorEnv(VectorEnv):
         self.num_envs = at_least_one("num_envs", num_envs)
         threads = at_least_one("threads", threads)
         mode = self.autoreset_mode = mode_of(autoreset_mode)
-        if render_mode == "human":
-            raise ValueError("render_mode: expected None or 'rgb_array' for a batch, got 'human'.")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode: expected None or 'rgb_array', got {render_mode!r}.")
         self.render_mode, self.copy = render_mode, copy
-        self._limit = 0 if max_episode_steps in (None, -1) else max_episode_steps
+        unlimited = max_episode_steps in (None, -1)
+        self._limit = 0 if unlimited else at_least_one("max_episode_steps", max_episode_steps)
 
-        def make_one() -> gym.Env:
+        def make_one(render_mode: str | None = render_mode) -> gym.Env:
             env: gym.Env = make(base_id, config, render_mode, **set_observation)
             return gym.wrappers.TimeLimit(env, self._limit) if self._limit else env
 
-        self._make_one: Callable[[], gym.Env] = make_one
+        self._make_one: Callable[..., gym.Env] = make_one
         env = make_one()
         self.set_spec = env.get_wrapper_attr("set_spec")
-        self.metadata = {**env.metadata, "autoreset_mode": mode}
+        self.metadata = {**env.metadata, "autoreset_mode": mode, "render_modes": ["rgb_array"]}
         self.single_observation_space, self.single_action_space = (
             env.observation_space, env.action_space,
         )  # fmt: skip
@@ -127,7 +115,8 @@ class SetVectorEnv(VectorEnv):
         if family:
             self.engine = Engine(env, family, self.num_envs, threads, self._limit, mode)
         else:
-            self._envs = SyncVectorEnv([make_one] * self.num_envs, copy, autoreset_mode=mode)
+            ordered = [lambda: gym.wrappers.OrderEnforcing(make_one())] * self.num_envs
+            self._envs = SyncVectorEnv(ordered, copy, autoreset_mode=mode)
             env.close()
 
     @cached_property
@@ -165,12 +154,17 @@ class SetVectorEnv(VectorEnv):
 
         seed: environment i gets seed + i; or one seed for each; None: go on drawing.
         """
+        self._check_open()
         options = dict(options or {})
         seeds = seeds_of(seed, self.num_envs)
         if not self.engine:
             observation, infos = self._envs.reset(seed=seeds, options=options or None)
             return observation, with_ids(infos, self.num_envs, self.set_spec.max_vehicles)
-        mask = mask_of(options.pop("reset_mask", None), self.num_envs)
+        everywhere = self.engine.everywhere
+        name = "options['reset_mask']"
+        mask = mask_of(options.pop("reset_mask", everywhere), self.num_envs, name)
+        if not mask.any():
+            raise ValueError(f"{name}: expected at least one environment to reset.")
         if options:
             raise ValueError(
                 f"options: expected nothing but 'reset_mask', got {', '.join(options)}; another "
@@ -185,14 +179,17 @@ class SetVectorEnv(VectorEnv):
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, Infos]:
         """One policy step of every environment.
 
-        Raises ValueError for actions of another shape, outside the action space, or not finite;
-        then no environment has moved.
+        Raises ValueError for actions of another shape, of no such number, or not finite, and
+        ResetNeeded before the first reset; then no environment has moved. Throttle and steering
+        outside their space are clipped, as highway-env does.
         """
+        self._check_open()
         if not self.engine:
+            actions = actions_of(actions, self.single_action_space, self.num_envs)
             observation, *rest, infos = self._envs.step(actions)
             infos = with_ids(infos, self.num_envs, self.set_spec.max_vehicles)
             return observation, *rest, infos  # type: ignore[return-value]
-        engine = self.engine
+        engine: Any = self._begun()
         over = engine.state.heads["over"] == ENDED
         if self.autoreset_mode is AutoresetMode.DISABLED and over.any():
             raise ValueError(
@@ -246,31 +243,20 @@ class SetVectorEnv(VectorEnv):
         Until they are reset, a step gives their last observation again, reward 0 and no end.
         Raises ValueError where the engine does not simulate this (``report()``).
         """
-        self._known().state.heads["over"][mask] = RESTING
+        self._begun().state.heads["over"][mask_of(mask, self.num_envs, "mask")] = RESTING
 
     def measure(self, collisions: bool = False) -> Measured:
         """How the cars are driving now; with ``collisions`` their times to collision, too [s]."""
         if self.engine:
-            return self.engine.measure(collisions)
-        measured = Measured.empty(self.num_envs)
-        for e, env in enumerate(self._envs.envs):
-            base: Any = env.unwrapped
-            start, end, lane = base.vehicle.lane_index
-            road = self._roads.setdefault((start, end), len(self._roads))
-            ego = base.vehicle
-            found = ego.speed, ego.crashed, speed_along_lane(ego), ego.on_road, road, lane
-            for values, value in zip(measured, found, strict=False):
-                values[e] = value
-            if collisions:
-                measured.time[e] = time_to_collision(base)
-        return measured
+            return self._begun().measure(collisions)
+        return measured(self._envs.envs, self._roads, collisions)
 
     def snapshot(self) -> bytes:
         """Everything that the future of all environments depends on, and what was returned last.
 
         Raises ValueError where the engine does not simulate this (``report()``).
         """
-        return packed(self._known().arrays(), self._identity())
+        return packed(self._begun().arrays(), self._identity())
 
     def restore(self, snapshot: bytes) -> tuple[dict[str, np.ndarray], Infos]:
         """Go on where ``snapshot`` was taken; observations and infos are those of that time.
@@ -289,13 +275,11 @@ class SetVectorEnv(VectorEnv):
         What they were last told is theirs, too; the copies go on as the originals would.
         Raises ValueError where the engine does not simulate this (``report()``).
         """
-        chosen = np.array([index_of(index, self.num_envs) for index in indices], np.int64)
-        if not len(chosen):
-            raise ValueError("fork: expected at least one environment")
+        chosen = indices_of(indices, self.num_envs)
         other = shallow_copy(self)
         other.__dict__.pop("observation_space", None)
         other.__dict__.pop("action_space", None)
-        other.num_envs, other.engine = len(chosen), self._known().fork(chosen)
+        other.num_envs, other.engine = len(chosen), self._begun().fork(chosen)
         return other
 
     def _known(self) -> Engine:
@@ -305,6 +289,19 @@ class SetVectorEnv(VectorEnv):
                 f"{self._reason}"
             )
         return self.engine
+
+    def _begun(self) -> Engine:
+        """The engine, once all its environments have been reset."""
+        unborn = self._known().state.heads["over"] == UNBORN
+        if unborn.any():
+            raise gym.error.ResetNeeded(
+                f"environment {int(np.argmax(unborn))} was never reset: call reset() first"
+            )
+        return self.engine
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise gym.error.ClosedEnvironmentError("this batch was closed; make another")
 
     def _identity(self) -> str:
         return repr((
@@ -316,15 +313,17 @@ class SetVectorEnv(VectorEnv):
         """A ``gym.make`` environment in exactly the state of environment ``index``.
 
         For rendering, debugging and films; stepping it changes nothing here. What a LinearVehicle
-        has collected to fit its parameters to, which no step reads, it does not have.
+        has collected to fit its parameters to, which no step reads, it does not have. Of an episode
+        that has ended it is the end: a reset that the next step of the batch would make is yours.
         """
         if not self.engine:
             return pickle.loads(pickle.dumps(self._envs.envs[index_of(index, self.num_envs)]))
-        env = self._make_one()
+        state: Any = self._begun().state
+        env = self._make_one("rgb_array")
         reset_quietly(env)
-        materialise(env, self.engine.state, index_of(index, self.num_envs))
+        materialise(env, state, index_of(index, self.num_envs))
         if self._limit:
-            env._elapsed_steps = int(self.engine.state.heads["elapsed"][index])  # type: ignore[attr-defined]
+            env._elapsed_steps = int(state.heads["elapsed"][index])  # type: ignore[attr-defined]
         return env
 
     def render(self) -> tuple[Any, ...] | None:

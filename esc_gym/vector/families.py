@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
+from esc_gym import fastsim
 from esc_gym.fastsim import known
 from esc_gym.fastsim.engine import machine
 from esc_gym.vector import observe
@@ -54,6 +56,25 @@ REPEATED = known.Repeated(
     (IDMVehicle, "__init__ randomize_behavior"),
     (LinearVehicle, "__init__ randomize_behavior"),
 )
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a batch is simulated.
+
+    engine: in the batch engine. reason: why not, "" if it is. environments: of the environments
+    one by one, where they are not in the engine.
+    """
+
+    engine: bool
+    reason: str
+    environments: tuple[fastsim.Report, ...] = ()
+
+    def __str__(self) -> str:
+        if self.engine:
+            return "all environments in the batch engine"
+        lines = [f"environment {i}: {report}" for i, report in enumerate(self.environments)]
+        return "\n".join([f"each environment on its own: {self.reason}", *lines])
 
 
 def family_of(base: Any) -> tuple[Any, str]:

@@ -12,11 +12,9 @@ from esc_gym.fastsim.kernel import COMMAND, EGO, FRAME, ITEMS, ROAD_STEPS, VEHIC
 from esc_gym.fastsim.numerics import compiled
 from esc_gym.fastsim.records import MDP
 from esc_gym.vector.observe import Output, Spec, observe
-from esc_gym.vector.state import ROAD, SHUFFLE
+from esc_gym.vector.state import ENDED, ROAD, RUNNING, SHUFFLE
 
 TERMINATED, TRUNCATED = range(2)
-# Values of ``over``; RESTING: left alone until it is reset.
-RUNNING, ENDED, RESTING = range(3)
 
 
 class Told(NamedTuple):

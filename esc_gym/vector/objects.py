@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,9 @@ from esc_gym.fastsim.records import (
     YIELD,
 )
 from esc_gym.fastsim.traffic import Traffic
+from esc_gym.measures import speed_along_lane, time_to_collision
 from esc_gym.vector.generators import generator
+from esc_gym.vector.measures import Measured
 from esc_gym.vector.state import ROAD, SHUFFLE, State
 
 
@@ -135,3 +138,19 @@ def _restore(item: Any, record: Any, number: int) -> None:
     d.pop("set_id", None)
     if number >= 0:
         d["set_id"] = number
+
+
+def measured(envs: Sequence[Any], roads: dict[Any, int], collisions: bool) -> Measured:
+    """``Measured`` of environments one by one. roads: numbers of roads, which are added to."""
+    found = Measured.empty(len(envs))
+    for e, env in enumerate(envs):
+        base = env.unwrapped
+        ego = base.vehicle
+        start, end, lane = ego.lane_index
+        road = roads.setdefault((start, end), len(roads))
+        values = ego.speed, ego.crashed, speed_along_lane(ego), ego.on_road, road, lane
+        for column, value in zip(found, values, strict=False):
+            column[e] = value
+        if collisions:
+            found.time[e] = time_to_collision(base)
+    return found

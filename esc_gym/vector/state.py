@@ -11,7 +11,7 @@ import numpy as np
 from esc_gym.fastsim.records import VEHICLE
 from esc_gym.vector.generators import SIZE
 
-# time [s], steps (sub-steps so far), elapsed (policy steps), over (see ``kernel.RUNNING``),
+# time [s], steps (sub-steps so far), elapsed (policy steps), over (see RUNNING),
 # next_id (of the vehicle perceived next), single (the last action was in single precision), lane
 # (whose place the ego is told: the exit's, or that to keep; -1), seed (of the generator; -1 if
 # unknown).
@@ -20,6 +20,8 @@ HEAD = np.dtype(
     + [(name, "i8") for name in ("steps", "elapsed", "over", "next_id", "single", "lane", "seed")]
 )
 HEADER = b"esc_gym snapshot 2\n"
+# Values of ``over``; RESTING: left alone until it is reset; UNBORN: never reset.
+RUNNING, ENDED, RESTING, UNBORN = range(4)
 # Rows of ``generators``: highway-env's own, and that of the order "shuffled".
 ROAD, SHUFFLE = range(2)
 
@@ -44,6 +46,7 @@ class State:
     def empty(cls, count: int, items: int, route_length: int) -> State:
         heads = np.zeros(count, HEAD)
         heads["lane"] = heads["seed"] = -1
+        heads["over"] = UNBORN
         return cls(
             np.zeros((count, items + 1), VEHICLE),
             np.zeros((count, 4), np.int64),

@@ -127,8 +127,20 @@ def test_merge_config_leaves_the_default_alone():
     [
         ({"vehicles_count": "abc"}, "'vehicles_count'.: expected a whole number of at least 0"),
         ({"vehicles_count": -3}, "expected a whole number of at least 0, got -3"),
-        ({"lanes_count": 2.5}, "expected a whole number of at least 0, got 2.5"),
-        ({"duration": "long"}, "'duration'.: expected a number, got 'long'"),
+        ({"lanes_count": 2.5}, "expected a whole number of at least 1, got 2.5"),
+        ({"lanes_count": 0}, "expected a whole number of at least 1, got 0"),
+        ({"duration": "long"}, "'duration'.: expected a number of at least 0, got 'long'"),
+        ({"duration": float("nan")}, "expected a number of at least 0, got nan"),
+        ({"vehicles_density": 0}, "'vehicles_density'.: expected a number above 0, got 0"),
+        ({"policy_frequency": 0}, "'policy_frequency'.: expected a number above 0, got 0"),
+        ({"reward_speed_range": [20]}, r"'reward_speed_range'.: expected two numbers, got .20."),
+        ({"collision_reward": float("nan")}, "'collision_reward'.: expected a number, got nan"),
+        ({"jerk_reward": "much"}, "'jerk_reward'.: expected a number, got 'much'"),
+        ({"initial_lane_id": 9}, "expected a whole number below 4, got 9"),
+        ({"other_vehicles_type": 5}, "'other_vehicles_type'.: expected a class to import"),
+        ({"other_vehicles_type": "my.Class"}, "expected a class to import.* got 'my.Class'"),
+        ({"other_vehicles_type": "highway_env.No"}, "expected a class to import"),
+        ([1], "config: expected a mapping"),
     ],
 )
 def test_numbers_in_a_configuration(changes, message):

@@ -12,8 +12,9 @@ from esc_gym.fastsim.geometry import VEHICLE_LENGTH, local_coordinates, width_at
 from esc_gym.fastsim.kernel import EGO, scene_of
 from esc_gym.fastsim.known import Repeated
 from esc_gym.fastsim.numerics import libm, outlined
-from esc_gym.vector.kernel import RUNNING, beginning, judging
+from esc_gym.vector.kernel import beginning, judging
 from esc_gym.vector.scenes.roads import create
+from esc_gym.vector.state import RUNNING
 
 CLASSES = (LaneKeepingEnv,)
 REWARDS: dict[str, type] = {}
