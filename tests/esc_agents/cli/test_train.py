@@ -175,7 +175,7 @@ def test_resume_takes_more_steps_and_nothing_else(args, message, call, own_run):
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        ([], "Missing"),
+        ([], "expected a run directory, or --pretrained"),
         (["missing"], "missing is no run directory"),
         (["."], "expected a config.yaml"),
         (["missing", "--episodes", "0"], "episodes"),
