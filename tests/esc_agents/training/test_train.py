@@ -250,7 +250,7 @@ def test_ctrl_c_saves_the_model_and_says_how_to_go_on(tmp_path, monkeypatch, cap
             {"env_config": {"collision_reward": "much"}},
             "highway-fast-v0: config.*expected a number",
         ),
-        ({"env_config": {"policy_frequency": 0}}, "highway-fast-v0: ZeroDivisionError"),
+        ({"env_config": {"action": {"target_speeds": []}}}, "highway-fast-v0: IndexError"),
         ({"encoder": {"arguments": {"scala": 1}}}, "unexpected keyword argument 'scala'"),
         ({"encoder": {"arguments": {"vehicle_dim": 3}}}, "vehicles: expected shape"),
         ({"encoder": {"hidden": ()}}, "hidden: expected at least one width"),
