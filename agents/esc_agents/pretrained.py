@@ -24,10 +24,11 @@ def names() -> list[str]:
 
 def directory(name: str) -> Path:
     """The run directory of an agent of the zoo. Raises UserError where there is none."""
-    if name not in names():
-        near = get_close_matches(name, names(), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else f"; expected one of {', '.join(names())}"
-        raise UserError(f"no trained agent {name!r} comes with esc-gym{hint}")
+    if name not in (known := names()):
+        near = get_close_matches(name, known, n=1)
+        there_are = ", ".join(known) or "none yet"
+        hint = f"did you mean {near[0]!r}?" if near else f"there are: {there_are}"
+        raise UserError(f"no trained agent {name!r} comes with esc-gym; {hint}")
     return folder() / name
 
 

@@ -59,9 +59,8 @@ def command(args: list[str]) -> int:
     given = dict(arguments)
     name = given.pop("pretrained")
     if (name is None) == (given["run_dir"] is None):
-        raise UserError(
-            f"expected a run directory, or --pretrained with one of {', '.join(pretrained.names())}"
-        )
+        known = ", ".join(pretrained.names()) or "none yet"
+        raise UserError(f"expected a run directory, or --pretrained NAME (there are: {known})")
     if name:
         given["run_dir"] = pretrained.directory(name)
     from esc_agents.training.evaluation import evaluate_run

@@ -55,7 +55,8 @@ def test_what_the_zoo_does_not_have(ppo_run, own_zoo, call):
     for arguments in ([], [ppo_run, "--pretrained", "tiny"]):
         code, _, err = call(eval_cli, *arguments)
         assert code == 2
-        assert err == "esc-eval: expected a run directory, or --pretrained with one of tiny\n"
+        expected = "expected a run directory, or --pretrained NAME (there are: tiny)"
+        assert err == f"esc-eval: {expected}\n"
 
 
 def begun(folder, **changes):
