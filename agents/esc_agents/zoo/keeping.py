@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from shutil import copyfile, rmtree
 
@@ -17,7 +18,13 @@ KEPT = (
 
 
 def keep(run: Path, name: str) -> Path:
-    """Copy what drives out of ``run`` into the zoo, in place of what was called ``name`` there."""
+    """Copy what drives out of ``run`` into the zoo, in place of what was called ``name`` there.
+
+    Raises UserError, and changes nothing, for what is no whole run, or no name of a folder.
+    """
+    if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
+        raise UserError(f"name: expected words as in highway-dense, got {name!r}")
+    run_directory.open_run(run)
     if not run_directory.finished(run):
         raise UserError(f"{run} is not finished; continue it with esc-train --resume {run}")
     run_directory.verify(run, *KEPT)

@@ -59,6 +59,28 @@ def test_what_the_zoo_does_not_have(ppo_run, own_zoo, call):
         assert err == f"esc-eval: {expected}\n"
 
 
+@pytest.mark.parametrize("name", ["..", "", ".", "a/b", "Dense", "dense-"])
+def test_a_name_that_leads_elsewhere_is_refused(name, ppo_run, own_zoo, call, tmp_path):
+    beside = tmp_path / "beside"
+    beside.touch()
+    code, _, err = call(keep_cli, ppo_run, "--name", name)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "name: expected words" in err
+    assert beside.exists()
+    assert zoo.names() == []
+
+
+def test_what_is_no_finished_run_is_not_kept(own_zoo, own_run, call, tmp_path):
+    code, _, err = call(keep_cli, tmp_path / "none", "--name", "tiny")
+    assert code == 2
+    assert "is no run directory" in err
+    (own_run / "SHA256SUMS").unlink()
+    code, _, err = call(keep_cli, own_run, "--name", "tiny")
+    assert code == 2
+    assert "is not finished" in err
+    assert zoo.names() == []
+
+
 def begun(folder, **changes):
     """An untrained policy that was given the weights of a run; and its weights before."""
     config = tiny(**changes)
