@@ -122,7 +122,8 @@ def merge_config(default: dict[str, Any], changes: Mapping[str, Any]) -> dict[st
         _check(key, default.get(key), changes[key])
     merged = merge(default, changes)
     lane, lanes = merged.get("initial_lane_id"), merged.get("lanes_count")
-    if lane is not None and lanes is not None and not (isinstance(lane, int) and lane < lanes):
+    whole = isinstance(lane, int | np.integer)
+    if lane is not None and lanes is not None and not (whole and lane < lanes):
         raise ValueError(
             f"config['initial_lane_id']: expected a whole number below {lanes}, got {lane!r}."
         )

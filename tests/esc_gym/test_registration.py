@@ -167,3 +167,9 @@ def test_default_n_holds_all_vehicles():
     ]:
         env = gym.make(f"esc_gym/{base_id}", config=config)
         assert env.observation_space["mask"].n == n, base_id
+
+
+def test_a_lane_may_be_numpys_number():
+    env = gym.make("esc_gym/highway-v0", config={"initial_lane_id": np.int64(2)})
+    env.reset(seed=0)
+    assert env.unwrapped.vehicle.lane_index[2] == 2
