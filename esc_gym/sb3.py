@@ -13,8 +13,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from esc_gym.registration import NAMESPACE
 from esc_gym.vector.environment import SetVectorEnv
-from esc_gym.vector.infos import rows
-from esc_gym.vector.measures import Measured
+from esc_gym.vector.measures import Measured, count_step
 
 
 class Episodes:
@@ -24,19 +23,22 @@ class Episodes:
     """
 
     def __init__(self, count: int, frequency: float) -> None:
-        self.frequency = frequency
+        self.frequency = float(frequency)
         self.lengths = np.zeros(count, np.int64)
-        # Of every step, as means and sums depend on the order: return, speed, vehicles in the set.
-        self.series = np.zeros((3, count, 64))
+        # Of every step, as sums depend on the order.
+        self.returns, self.speeds = np.zeros((2, count, 64))
+        self.vehicles = np.zeros(count, np.int64)
         self.progress, self.least_time = np.zeros(count), np.full(count, np.inf)
         self.off_road, self.changes = np.zeros((2, count), np.int64)
         self.road, self.lane = np.zeros((2, count), np.int64)
+        self.crashed = np.zeros(count, bool)
         self.seeds: list[int | None] = [None] * count
 
     def begin(self, chosen: np.ndarray, seeds: Sequence[int | None]) -> None:
         """New episodes where ``chosen`` says so."""
-        self.lengths[chosen] = self.off_road[chosen] = self.changes[chosen] = 0
-        self.progress[chosen], self.least_time[chosen] = 0.0, np.inf
+        for numbers in (self.lengths, self.vehicles, self.progress, self.off_road, self.changes):
+            numbers[chosen] = 0
+        self.least_time[chosen] = np.inf
         for e in np.flatnonzero(chosen).tolist():
             self.seeds[e] = seeds[e]
 
@@ -46,43 +48,42 @@ class Episodes:
 
     def add(self, rewards: np.ndarray, counts: np.ndarray, measured: Measured) -> None:
         """A step of all environments."""
-        if self.lengths.max() == self.series.shape[2]:
-            self.series = np.concatenate([self.series, np.zeros_like(self.series)], axis=2)
-        everywhere, column = np.arange(len(self.lengths)), self.lengths
-        values = rewards, measured.speed, counts
-        for series, value in zip(self.series, values, strict=True):
-            series[everywhere, column] = value
-        self.lengths += 1
-        self.progress += measured.along / self.frequency
-        self.off_road += ~measured.on_road
-        # Lane numbers of different roads are unrelated: only a change within one road counts.
-        self.changes += (measured.road == self.road) & (measured.lane != self.lane)
-        self.note_lanes(slice(None), measured)
-        np.minimum(self.least_time, measured.time, out=self.least_time)
+        if self.lengths.max() == self.returns.shape[1]:
+            self.returns, self.speeds = (
+                np.concatenate([series, np.zeros_like(series)], axis=1)
+                for series in (self.returns, self.speeds)
+            )
+        count_step(
+            self.lengths, self.returns, self.speeds, self.vehicles, self.progress,
+            self.least_time, self.off_road, self.changes, self.road, self.lane,
+            rewards, np.ascontiguousarray(counts), self.frequency, measured.speed, measured.along,
+            measured.on_road, measured.road, measured.lane, measured.time,
+        )  # fmt: skip
         self.crashed = measured.crashed.copy()
 
-    def summary(self, e: int) -> dict[str, Any]:
-        """The episode of environment ``e``, in which a step was made.
+    def summaries(self, chosen: np.ndarray) -> list[dict[str, Any]]:
+        """The episodes of some environments, in each of which a step was made.
 
         r return, l length [policy steps], crashed (0 or 1), speed (mean, m/s), progress (way made
         along the lanes, m), off_road (share of the steps), lane_changes (count), vehicles (mean M),
         min_ttc (least time to collision, s; inf where there was never one, or none was measured),
         seed (of the reset; None if there was none).
         """
-        length = int(self.lengths[e])
-        rewards, speeds, counts = self.series[:, e, :length]
-        return {
-            "r": sum(rewards.tolist()),
-            "l": length,
-            "crashed": int(self.crashed[e]),
-            "speed": float(speeds.sum() / length),
-            "progress": float(self.progress[e]),
-            "off_road": int(self.off_road[e]) / length,
-            "lane_changes": int(self.changes[e]),
-            "vehicles": float(counts.sum() / length),
-            "min_ttc": float(self.least_time[e]),
-            "seed": self.seeds[e],
+        lengths = self.lengths[chosen]
+        ends = list(zip(chosen.tolist(), lengths.tolist(), strict=True))
+        columns = {
+            "r": [sum(self.returns[e, :end].tolist()) for e, end in ends],
+            "l": lengths.tolist(),
+            "crashed": self.crashed[chosen].astype(int).tolist(),
+            "speed": [float(np.add.reduce(self.speeds[e, :end]) / end) for e, end in ends],
+            "progress": self.progress[chosen].tolist(),
+            "off_road": (self.off_road[chosen] / lengths).tolist(),
+            "lane_changes": self.changes[chosen].tolist(),
+            "vehicles": (self.vehicles[chosen] / lengths).tolist(),
+            "min_ttc": self.least_time[chosen].tolist(),
+            "seed": [self.seeds[e] for e, _ in ends],
         }
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _copied(observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -144,40 +145,44 @@ class SetVecEnv(VecEnv):
 
     def _begin(self, chosen: np.ndarray, seeds: Sequence[int | None]) -> dict[str, np.ndarray]:
         """Begin new episodes where ``chosen`` says so; the observations of all environments."""
-        observations, infos = self.envs.reset(seed=seeds, options={"reset_mask": chosen})
+        observations = self.envs.begin(seeds, chosen)
         self.episodes.begin(chosen, seeds)
-        for e in np.flatnonzero(chosen).tolist():
-            self._begun[e] = infos
+        begun = np.flatnonzero(chosen)
+        told = self.envs.told(begun)
+        for i, e in enumerate(begun.tolist()):
+            self._begun[e] = told, i
         self.episodes.note_lanes(chosen, self.envs.measure(self.collisions))
         return observations
 
     @property
     def reset_infos(self) -> list[dict[str, Any]]:  # type: ignore[override]
         """What each environment said at its last reset."""
-        return [rows(infos, [e])[0] if infos else {} for e, infos in enumerate(self._begun)]
+        return [told()[i] if told else {} for told, i in self._begun]
 
     @reset_infos.setter
     def reset_infos(self, infos: Any) -> None:  # type: ignore[override]
         """``VecEnv`` begins with empty ones."""
-        self._begun: list[Any] = [None for _ in infos]
+        self._begun: list[Any] = [(None, 0) for _ in infos]
 
     def step_async(self, actions: np.ndarray) -> None:
         self._actions = actions
 
     def step_wait(self) -> Any:
         """(observations, rewards, dones, infos), as SB3 has them."""
-        observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
+        observations, rewards, terminated, truncated = self.envs.advance(self._actions)
         measured = self.envs.measure(self.collisions)
         rewards, terminated = self._judged(rewards, terminated, measured)
-        self.episodes.add(rewards, infos["set"]["count"], measured)
-        dones, listed = terminated | truncated, self._listed(infos, measured)
-        if ended := np.flatnonzero(dones).tolist():
+        self.episodes.add(rewards, self.envs.counts, measured)
+        dones, listed = terminated | truncated, self._listed(measured)
+        if dones.any():
+            ended, now = np.flatnonzero(dones), time.time() - self._start
             last = {name: part[ended] for name, part in observations.items()}
-            for i, (e, info) in enumerate(zip(ended, rows(infos, ended), strict=True)):
+            said = self.envs.told(ended, self._actions)(), self.episodes.summaries(ended)
+            for i, (e, info, episode) in enumerate(zip(ended.tolist(), *said, strict=True)):
                 listed[e] = info | {
                     "terminal_observation": {name: part[i] for name, part in last.items()},
                     "TimeLimit.truncated": bool(truncated[e] and not terminated[e]),
-                    "episode": {**self.episodes.summary(e), "t": time.time() - self._start},
+                    "episode": episode | {"t": now},
                 }
             observations = self._begin(dones, [None] * self.num_envs)
         return _copied(observations), rewards.astype(np.float32), dones, listed
@@ -188,7 +193,7 @@ class SetVecEnv(VecEnv):
         """For subclasses: other rewards and ends."""
         return rewards, terminated
 
-    def _listed(self, infos: dict[str, Any], measured: Measured) -> list[dict[str, Any]]:
+    def _listed(self, measured: Measured) -> list[dict[str, Any]]:
         """What each environment says of a step in mid-episode."""
         columns = measured.speed.tolist(), measured.crashed.tolist()
         return [{"speed": speed, "crashed": bad} for speed, bad in zip(*columns, strict=True)]

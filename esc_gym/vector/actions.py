@@ -19,7 +19,7 @@ class Actions:
     """A batch of actions as the kernels take it: meta-actions, or steering and acceleration."""
 
     def __init__(self, action_type: Any) -> None:
-        self.type = action_type
+        self.type, self.space = action_type, action_type.space()
         self.meta = isinstance(action_type, DiscreteMetaAction)
         names = list(action_type.actions.values()) if self.meta else []
         self.commands = np.array([COMMANDS.get(name, KEEP) for name in names], np.int64)
@@ -45,7 +45,7 @@ class Actions:
 
     def checked(self, actions: Any, count: int) -> np.ndarray:
         """The batch as an array of the shape that the action space has, or ValueError."""
-        return actions_of(actions, self.type.space(), count)
+        return actions_of(actions, self.space, count)
 
     def taken(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(meta-actions [E], NO_CONTROLS), or (NO_ACTIONS, steering and acceleration [E, 2])."""

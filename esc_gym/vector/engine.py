@@ -27,11 +27,11 @@ from esc_gym.vector import observe
 from esc_gym.vector.actions import Actions, sizes_of
 from esc_gym.vector.families import capacity_of
 from esc_gym.vector.generators import generator, row
-from esc_gym.vector.kernel import Told, decide, observe_all
-from esc_gym.vector.measures import Measured, measure_all
+from esc_gym.vector.kernel import COLLISIONS, DRIVING, NOTHING, Told, decide, look_all
+from esc_gym.vector.measures import Measured
 from esc_gym.vector.objects import follow_road
 from esc_gym.vector.scenes.roads import ROUTE_LENGTH, Plans, behavior_ranges
-from esc_gym.vector.state import ROAD, RUNNING, SHUFFLE, State
+from esc_gym.vector.state import ROAD, RUNNING, SHUFFLE, UNBORN, State
 
 # Parts of a batch for each thread, environments in a part at least, and few environments.
 PARTS, LEAST, FEW = 2, 4, 16
@@ -114,9 +114,9 @@ class Engine:
         # Where the last step began a new episode in place of a step; and a mask of all.
         self.begun, self.everywhere = np.zeros(count, bool), np.ones(count, bool)
         self.progress = np.zeros((count, kernel.COMMAND + 1), np.int64)
-        # Whether ``measured`` is of now, and if so, whether with times to collision.
+        # How the egos drive, and what of it steps and resets see to.
         self.measured: Measured = Measured.empty(count)
-        self.watching: bool | None = None
+        self.watching, self.born = NOTHING, False
         network = self.network
         parts = 1 if self._threads == 1 else min(PARTS * self._threads, -(-count // LEAST))
         edges = np.linspace(0, count, parts + 1).astype(int).tolist()
@@ -175,7 +175,7 @@ class Engine:
 
     def reset(self, seeds: Sequence[int | None], mask: np.ndarray) -> None:
         """Make new scenes where ``mask`` [E] says so, from the seeds or from where they are."""
-        unseeded: Any = ~self.state.generators[:, ROAD].any(axis=1)
+        unseeded = self.state.heads["over"] == UNBORN
         begun = {
             e: seeding.np_random(seeds[e])
             for e in np.flatnonzero(mask).tolist()
@@ -192,38 +192,37 @@ class Engine:
     def step(self, actions: Any) -> None:
         """One policy step of each environment. ValueError, and nothing is done, for bad actions."""
         actions = self.actions.checked(actions, len(self.ends))
-        taken = *self.actions.taken(actions), sizes_of(actions)
-        self.state.heads["single"] = actions.dtype == np.float32
-        over = self.state.heads["over"] != RUNNING
+        state, kinds = self.state, self.actions
+        taken, controls = kinds.taken(actions)
+        state.heads["single"] = actions.dtype == np.float32
+        over = state.heads["over"] != RUNNING
         self.begun = over & (self.mode is AutoresetMode.NEXT_STEP)
-        self._share_out(self._step, ~over, *taken)
-
-    def _step(
-        self, share: Any, driven: np.ndarray, taken: Any, controls: Any, sizes: np.ndarray
-    ) -> None:
-        first, last, scenes = share
-        state, actions, frames = self.state, self.actions, self.frames
         decide(
-            state.vehicles, state.counts, state.heads, self.progress, taken, actions.commands,
-            actions.speed_steps, actions.target_speeds, controls,
-            actions.speed_range, first, last, frames,
+            state.vehicles, state.counts, state.heads, self.progress, taken, kinds.commands,
+            kinds.speed_steps, kinds.target_speeds, controls, kinds.speed_range, self.frames,
         )  # fmt: skip
-        if hasattr(self.family, "prepare_all"):
-            self.family.prepare_all(*scenes, state.heads, self.constants, first, last)
-            self._observe(share, driven, self.now)
+        self._share_out(self._step, ~over, sizes_of(actions))
+
+    def _step(self, share: Any, driven: np.ndarray, sizes: np.ndarray) -> None:
+        first, last, scenes = share
+        state, frames, family = self.state, self.frames, self.family
+        # Most families observe after everything else that happens in a step.
+        early, late = hasattr(family, "prepare_all"), hasattr(family, "go_on_all")
+        if early:
+            family.prepare_all(*scenes, state.heads, self.constants, first, last)
+            self._look(share, driven, measuring=NOTHING)
         self._run(share, frames)
-        self.family.judge_all(
+        family.judge_all(
             *scenes, state.heads, self.constants, self.now.told.rewards, self.rewards, self.ends,
             sizes, first, last, frames, self.period, self.limit,
         )  # fmt: skip
         if self.begun[first:last].any():
             self._begin(share, self.begun)
-        if not hasattr(self.family, "prepare_all"):
-            self._observe(share, driven, self.now)
-        if hasattr(self.family, "go_on_all"):
-            self._change(share, driven, self.family.go_on_all)
-        self._measure(share)
-        ended: Any = self.ends.any(axis=1)
+        self._look(share, driven, not early, NOTHING if late else self.watching)
+        if late:
+            self._change(share, driven, family.go_on_all)
+            self._look(share, driven, False, self.watching)
+        ended: Any = self.ends.any(axis=1) if self.mode is AutoresetMode.SAME_STEP else self.begun
         if self.mode is AutoresetMode.SAME_STEP and ended[first:last].any():
             self.final.copy_from(self.now, slice(first, last), slice(first, last))
             self._begin(share, ended)
@@ -249,7 +248,7 @@ class Engine:
             with self._asking:
                 follow_road(self._objects, state, int(e), found)
         if self.rules_every:
-            state.counts[first:last, kernel.ROAD_STEPS] += np.where(waiting, frames, 0)
+            state.counts[first:last, kernel.ROAD_STEPS] += frames * waiting
 
     def _begin(self, share: Any, chosen: np.ndarray) -> None:
         """New scenes where ``chosen`` [E] says so, and what they look like."""
@@ -260,8 +259,7 @@ class Engine:
             self.progress[first:last, kernel.FRAME] = np.where(chosen[first:last], 0, self.warm_up)
             self._run(share, self.warm_up)
             self._change(share, chosen, self.family.complete_all)
-        self._observe(share, chosen, self.now)
-        self._measure(share)
+        self._look(share, chosen, True, self.watching)
 
     def _change(self, share: Any, chosen: np.ndarray, change: Any) -> None:
         first, last, scenes = share
@@ -271,25 +269,26 @@ class Engine:
             *self.behavior, self.now.told.rewards, chosen, first, last,
         )  # fmt: skip
 
-    def _observe(self, share: Any, chosen: np.ndarray, outputs: Outputs) -> None:
+    def _look(
+        self, share: Any, chosen: np.ndarray, observing: bool = True, measuring: int = NOTHING
+    ) -> None:
+        """Observe, and measure, where ``chosen`` [E] says so."""
+        if not observing and measuring == NOTHING:
+            return
         first, last, scenes = share
-        state, told = self.state, outputs.told
-        observe_all(
-            *scenes, state.ids, state.heads, state.generators, *self.spec, *outputs.seen,
-            told.speed, told.crashed, chosen, first, last,
+        state, seen, told = self.state, self.now.seen, self.now.told
+        look_all(
+            *scenes, state.ids, state.heads, state.generators, *self.spec, *seen, told.speed,
+            told.crashed, *self.measured, chosen, observing, measuring, first, last,
         )  # fmt: skip
 
     def measure(self, collisions: bool) -> Measured:
         """How the egos are driving; steps and resets see to it from now on."""
-        if self.watching is not collisions:
-            self.watching = collisions
-            self._share_out(self._measure)
+        wanted = COLLISIONS if collisions else DRIVING
+        if self.watching != wanted:
+            self.watching = wanted
+            self._share_out(self._look, self.everywhere, False, wanted)
         return self.measured
-
-    def _measure(self, share: Any) -> None:
-        first, last, scenes = share
-        if self.watching is not None:
-            measure_all(*scenes, *self.measured, self.watching, first, last)
 
 
 def _template(traffic: Traffic, capacity: int, ego: Any) -> np.ndarray:

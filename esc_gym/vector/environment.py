@@ -6,7 +6,7 @@ import pickle
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy as shallow_copy
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import gymnasium as gym
@@ -28,8 +28,17 @@ from esc_gym.vector.arguments import (
 )
 from esc_gym.vector.engine import Engine
 from esc_gym.vector.families import Report, family_of
-from esc_gym.vector.infos import Infos, add_final, add_step, infos_of, with_ids
-from esc_gym.vector.kernel import TERMINATED, TRUNCATED
+from esc_gym.vector.infos import (
+    Infos,
+    add_final,
+    add_step,
+    columns_of_step,
+    infos_of,
+    rows,
+    singly,
+    with_ids,
+)
+from esc_gym.vector.kernel import NOTHING, TERMINATED, TRUNCATED
 from esc_gym.vector.measures import Measured
 from esc_gym.vector.objects import materialise, measured, reset_quietly
 from esc_gym.vector.state import ENDED, HEAD, RESTING, UNBORN, packed, unpack
@@ -111,6 +120,7 @@ class SetVectorEnv(VectorEnv):
         self._warned = False
         self.engine: Any = None  # the ``Engine``, where it simulates this
         self._envs: Any = None
+        self._infos: Infos = {}  # of the last step, without an engine
         self._roads: dict[tuple[Any, Any], int] = {}  # numbers of roads, of ``measure``
         if family:
             self.engine = Engine(env, family, self.num_envs, threads, self._limit, mode)
@@ -157,11 +167,7 @@ class SetVectorEnv(VectorEnv):
         self._check_open()
         options = dict(options or {})
         seeds = seeds_of(seed, self.num_envs)
-        if not self.engine:
-            observation, infos = self._envs.reset(seed=seeds, options=options or None)
-            return observation, with_ids(infos, self.num_envs, self.set_spec.max_vehicles)
-        everywhere = self.engine.everywhere
-        name = "options['reset_mask']"
+        name, everywhere = "options['reset_mask']", np.ones(self.num_envs, bool)
         mask = mask_of(options.pop("reset_mask", everywhere), self.num_envs, name)
         if not mask.any():
             raise ValueError(f"{name}: expected at least one environment to reset.")
@@ -170,9 +176,21 @@ class SetVectorEnv(VectorEnv):
                 f"options: expected nothing but 'reset_mask', got {', '.join(options)}; another "
                 "configuration is for gym.make_vec(..., config=...)."
             )
+        observation = self.begin(seeds, mask)
+        if not self.engine:
+            return observation, self._infos
+        return observation, infos_of(self.engine, self.engine.now, mask)
+
+    def begin(self, seeds: Sequence[int | None], mask: np.ndarray) -> dict[str, np.ndarray]:
+        """``reset`` of the environments of ``mask`` without infos, for which see ``told``."""
+        if not self.engine:
+            options = None if mask.all() else {"reset_mask": mask}
+            observation, infos = self._envs.reset(seed=list(seeds), options=options)
+            self._infos = with_ids(infos, self.num_envs, self.set_spec.max_vehicles)
+            return observation
         self.engine.reset(seeds, mask)
         self._note_overflow()
-        return self._observation(self.engine.now), infos_of(self.engine, self.engine.now, mask)
+        return self._observation(self.engine.now)
 
     def step(
         self, actions: Any
@@ -184,11 +202,18 @@ class SetVectorEnv(VectorEnv):
         outside their space are clipped, as highway-env does.
         """
         self._check_open()
+        observation, rewards, terminated, truncated = self.advance(actions)
+        return observation, rewards, terminated, truncated, self._said(np.array(actions))
+
+    def advance(
+        self, actions: Any
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray]:
+        """``step`` without infos, for which see ``told``."""
         if not self.engine:
             actions = actions_of(actions, self.single_action_space, self.num_envs)
-            observation, *rest, infos = self._envs.step(actions)
-            infos = with_ids(infos, self.num_envs, self.set_spec.max_vehicles)
-            return observation, *rest, infos  # type: ignore[return-value]
+            *found, infos = self._envs.step(actions)
+            self._infos = with_ids(infos, self.num_envs, self.set_spec.max_vehicles)
+            return tuple(found)  # type: ignore[return-value]
         engine: Any = self._begun()
         over = engine.state.heads["over"] == ENDED
         if self.autoreset_mode is AutoresetMode.DISABLED and over.any():
@@ -199,7 +224,17 @@ class SetVectorEnv(VectorEnv):
         engine.step(actions)
         self._note_overflow()
         ends = engine.ends.copy()
-        ended, taken = ends.any(axis=1), np.array(actions)
+        return (
+            self._observation(engine.now), engine.rewards.copy(),
+            ends[:, TERMINATED], ends[:, TRUNCATED],
+        )  # fmt: skip
+
+    def _said(self, taken: np.ndarray) -> Infos:
+        """Infos of the last step, which took those actions."""
+        engine = self.engine
+        if not engine:
+            return self._infos
+        ended = engine.ends.any(axis=1)
         same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
         reset = ended if same_step else engine.begun
         infos = infos_of(engine, engine.now, engine.everywhere, reset)
@@ -210,10 +245,23 @@ class SetVectorEnv(VectorEnv):
         else:
             driven = ~engine.begun & (engine.state.heads["over"] != RESTING)
             add_step(infos, engine, taken, driven)
-        return (
-            self._observation(engine.now), engine.rewards.copy(),
-            ends[:, TERMINATED].copy(), ends[:, TRUNCATED].copy(), infos,
-        )  # fmt: skip
+        return infos
+
+    def told(
+        self, chosen: np.ndarray, actions: np.ndarray | None = None
+    ) -> Callable[[], list[Infos]]:
+        """Says, when called, what some environments told last, each as ``gym.make`` does.
+
+        actions: of all, in the step; None after a reset.
+        """
+        if not self.engine:
+            return partial(rows, self._infos, chosen)
+        return partial(singly, columns_of_step(self.engine, chosen, actions))
+
+    @property
+    def counts(self) -> np.ndarray:
+        """M of every environment [num_envs]: the vehicles within the perception distance."""
+        return self.engine.now.seen.counts[:, 0] if self.engine else self._infos["set"]["count"]
 
     def _observation(self, outputs: Any) -> dict[str, np.ndarray]:
         seen = outputs.seen
@@ -266,7 +314,7 @@ class SetVectorEnv(VectorEnv):
         """
         engine = self._known()
         unpack(snapshot, engine.arrays(), self._identity())
-        engine.watching = None
+        engine.watching = NOTHING
         return self._observation(engine.now), infos_of(engine, engine.now, engine.everywhere)
 
     def fork(self, indices: Sequence[int]) -> SetVectorEnv:
@@ -292,12 +340,15 @@ class SetVectorEnv(VectorEnv):
 
     def _begun(self) -> Engine:
         """The engine, once all its environments have been reset."""
-        unborn = self._known().state.heads["over"] == UNBORN
-        if unborn.any():
-            raise gym.error.ResetNeeded(
-                f"environment {int(np.argmax(unborn))} was never reset: call reset() first"
-            )
-        return self.engine
+        engine = self._known()
+        if not engine.born:
+            unborn = engine.state.heads["over"] == UNBORN
+            if unborn.any():
+                raise gym.error.ResetNeeded(
+                    f"environment {int(np.argmax(unborn))} was never reset: call reset() first"
+                )
+            engine.born = True
+        return engine
 
     def _check_open(self) -> None:
         if self.closed:

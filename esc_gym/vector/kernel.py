@@ -11,10 +11,13 @@ from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.kernel import COMMAND, EGO, FRAME, ITEMS, ROAD_STEPS, VEHICLES, scene_of
 from esc_gym.fastsim.numerics import compiled
 from esc_gym.fastsim.records import MDP
+from esc_gym.vector.measures import Measured, measure
 from esc_gym.vector.observe import Output, Spec, observe
 from esc_gym.vector.state import ENDED, ROAD, RUNNING, SHUFFLE
 
 TERMINATED, TRUNCATED = range(2)
+# What ``look_all`` measures.
+NOTHING, DRIVING, COLLISIONS = range(3)
 
 
 class Told(NamedTuple):
@@ -36,7 +39,7 @@ def speed_index(speed, target_speeds):
 @cached
 def decide(
     vehicles, counts, heads, progress, actions, commands, speed_steps, target_speeds, controls,
-    speed_range, first, last, frames
+    speed_range, frames
 ):  # fmt: skip
     """Begin a step: take the actions, and leave alone the environments that are to be reset.
 
@@ -44,7 +47,7 @@ def decide(
     controls [E, 2]: steering and acceleration of an ego that takes no meta-actions; speed_range:
     what its first action limits it to, inf and -inf for nothing.
     """
-    for e in range(first, last):
+    for e in range(len(heads)):
         for entry in range(COMMAND + 1):
             progress[e, entry] = 0
         if heads[e].over:
@@ -65,26 +68,35 @@ def decide(
 
 
 @cached
-def observe_all(
+def look_all(
     vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
     link_offset, exits, poses, widths, samples, numerics, ids, heads, generators,
     reach, rules, columns, center, half, ego_columns, ego_center, ego_half, virtual,
-    ego, others, mask, out_ids, out_counts, speed, crashed, chosen, first, last
+    ego, others, mask, out_ids, out_counts, told_speed, told_crashed,
+    speed, crashed, along, is_on_road, road, lane, time, chosen, observing, measuring, first, last
 ):  # fmt: skip
-    """Observe the environments that are ``chosen`` [E]; see ``Spec`` and ``Output``."""
+    """Observe and measure the environments that are ``chosen`` [E].
+
+    See ``Spec``, ``Output`` and ``Measured``. measuring: NOTHING, DRIVING, or COLLISIONS, too.
+    """
     spec = Spec(reach, rules, columns, center, half, ego_columns, ego_center, ego_half, virtual)
     out = Output(ego, others, mask, out_ids, out_counts)
+    measured = Measured(speed, crashed, along, is_on_road, road, lane, time)
     for e in range(first, last):
-        if chosen[e]:
-            s = scene_of(
-                e, vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start,
-                link_lane, link_offset, exits, poses, widths, samples, numerics,
-            )  # fmt: skip
-            me, head = counts[e, EGO], heads[e]
+        if not chosen[e]:
+            continue
+        s = scene_of(
+            e, vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start,
+            link_lane, link_offset, exits, poses, widths, samples, numerics,
+        )  # fmt: skip
+        me, head = counts[e, EGO], heads[e]
+        if observing:
             head.next_id = observe(
                 s, me, e, spec, generators[e, SHUFFLE], ids[e], head.lane, head.next_id, out
             )
-            speed[e], crashed[e] = s.vehicles[me].speed, s.vehicles[me].crashed
+            told_speed[e], told_crashed[e] = s.vehicles[me].speed, s.vehicles[me].crashed
+        if measuring != NOTHING:
+            measure(s, me, e, measured, measuring == COLLISIONS)
 
 
 inner: Any = None  # of ``_forward``: each entry has its own

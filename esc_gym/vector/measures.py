@@ -8,7 +8,6 @@ import numpy as np
 
 from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.geometry import heading_at, local_coordinates
-from esc_gym.fastsim.kernel import EGO, scene_of
 from esc_gym.fastsim.numerics import compiled, cos, libm_of, outlined, sin
 from esc_gym.vector.scenes.roads import on_road
 
@@ -38,25 +37,36 @@ class Measured(NamedTuple):
 
 
 @cached
-def measure_all(
-    vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
-    link_offset, exits, poses, widths, samples, numerics,
-    speed, crashed, along, is_on_road, road, lane, time, collisions, first, last
+def count_step(
+    lengths, returns, speeds, vehicles, progress, least_time, off_road, changes, roads, lanes,
+    rewards, counts, frequency, speed, along, is_on_road, road, lane, time
 ):  # fmt: skip
-    """``Measured`` of the environments ``first`` to ``last`` - 1; time only with ``collisions``."""
-    for e in range(first, last):
-        s = scene_of(
-            e, vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start,
-            link_lane, link_offset, exits, poses, widths, samples, numerics,
-        )  # fmt: skip
-        ego = counts[e, EGO]
-        me = s.vehicles[ego]
-        speed[e], crashed[e] = me.speed, me.crashed
-        along[e] = speed_along_lane(s, ego)
-        is_on_road[e] = on_road(s, ego)
-        road[e], lane[e] = s.lanes[me.lane].road, s.lanes[me.lane].id
-        if collisions:
-            time[e] = time_to_collision(s, ego)
+    """A step of all episodes, into what ``sb3.Episodes`` knows of them.
+
+    rewards [E], counts [E]: of M; frequency: of policy steps [Hz]; the rest is of ``Measured``.
+    """
+    for e in range(len(lengths)):
+        returns[e, lengths[e]], speeds[e, lengths[e]] = rewards[e], speed[e]
+        lengths[e] += 1
+        vehicles[e] += counts[e]
+        progress[e] += along[e] / frequency
+        off_road[e] += not is_on_road[e]
+        # Lane numbers of different roads are unrelated: only a change within one road counts.
+        changes[e] += road[e] == roads[e] and lane[e] != lanes[e]
+        roads[e], lanes[e] = road[e], lane[e]
+        least_time[e] = min(least_time[e], time[e])
+
+
+@outlined
+def measure(s, ego, e, measured, collisions):
+    """How the ego of environment e drives, into ``measured``; time only with ``collisions``."""
+    me = s.vehicles[ego]
+    measured.speed[e], measured.crashed[e] = me.speed, me.crashed
+    measured.along[e] = speed_along_lane(s, ego)
+    measured.on_road[e] = on_road(s, ego)
+    measured.road[e], measured.lane[e] = s.lanes[me.lane].road, s.lanes[me.lane].id
+    if collisions:
+        measured.time[e] = time_to_collision(s, ego)
 
 
 @outlined

@@ -13,7 +13,6 @@ from esc_agents.config import TrainConfig
 from esc_agents.driving.environments import env_config, named_version, observation_arguments
 from esc_agents.driving.wrappers import REFERENCE_SPEED, not_finite
 from esc_gym.sb3 import SetVecEnv
-from esc_gym.vector.infos import rows
 from esc_gym.vector.measures import Measured
 
 
@@ -74,6 +73,8 @@ class BatchVecEnv(SetVecEnv):
     def restore(self, state: bytes) -> None:
         """Go on where ``state`` was taken. Raises ValueError for one of other environments."""
         snapshot, episodes, self._numbers = pickle.loads(state)
+        if episodes.keys() != vars(self.episodes).keys():
+            raise ValueError("statistics of episodes of another version of esc_gym")
         self._seen, _ = self.envs.restore(snapshot)
         vars(self.episodes).update(episodes)
 
@@ -131,10 +132,10 @@ class BatchVecEnv(SetVecEnv):
         self._check(rewards)
         return rewards, terminated
 
-    def _listed(self, infos: dict[str, Any], measured: Measured) -> list[dict[str, Any]]:
+    def _listed(self, measured: Measured) -> list[dict[str, Any]]:
         if not self.evaluation:
-            return super()._listed(infos, measured)
-        said = rows(infos, range(self.num_envs))
+            return super()._listed(measured)
+        said = self.envs.told(np.arange(self.num_envs), self._actions)()
         return [{} if rests else info for rests, info in zip(self.resting, said, strict=True)]
 
     def _check(self, rewards: np.ndarray) -> None:
