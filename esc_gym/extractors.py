@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor
@@ -44,6 +45,8 @@ class SetExtractor(BaseFeaturesExtractor):
     ) -> None:
         cls = encoder_class(representation or self.representation)
         vehicles, ego_dim = check_space(observation_space)
+        # Goals are told as the ego sees them: four numbers.
+        ego_dim += 4 * ("desired_goal" in observation_space.spaces)
         n, d1 = vehicles.shape
         settings = {"vehicle_dim": d1, "ego_dim": ego_dim, "max_vehicles": n, **encoder_kwargs}
         if issubclass(cls, APEncoder):
@@ -57,8 +60,30 @@ class SetExtractor(BaseFeaturesExtractor):
         self.encoder = encoder
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:
-        """vehicles [B, N, d1], mask [B, N] as floats, ego [B, d2] -> [B, features_dim]."""
-        return self.encoder(observations["vehicles"], observations["mask"], observations["ego"])
+        """vehicles [B, N, d1], mask [B, N] as floats, ego [B, d2] -> [B, features_dim].
+
+        Where the observation has goals [B, 6], x_else is ``ego`` and the goal as the ego sees it.
+        """
+        ego = observations["ego"]
+        if "desired_goal" in observations:
+            goal = goal_ahead(observations["achieved_goal"], observations["desired_goal"])
+            ego = torch.cat([ego, goal], dim=-1)
+        return self.encoder(observations["vehicles"], observations["mask"], ego)
+
+
+def goal_ahead(achieved: Tensor, desired: Tensor) -> Tensor:
+    """Goals [B, 6] as the ego sees them [B, 4]: forward, to the right, cosine, sine of the turn.
+
+    As the ego features ``goal_x`` to ``goal_sin_h`` in the ego's frame, of any pair of goals.
+    """
+    cosine, sine = achieved[..., 4], achieved[..., 5]
+    vectors = (desired - achieved)[..., :2], desired[..., 4:]
+    parts = [
+        part
+        for x, y in (vector.unbind(-1) for vector in vectors)
+        for part in (cosine * x + sine * y, cosine * y - sine * x)
+    ]
+    return torch.stack(parts, dim=-1)
 
 
 class ESCExtractor(SetExtractor):

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.parking_env import ParkingEnv
 from numpy.typing import NDArray
 
 from esc_gym import fastsim
@@ -41,7 +42,9 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
     - ``ego``: Box float32 (d2,) in [-1, 1]: x_else, the ego and its road (``EGO_FEATURES``);
     - ``vehicles``: Box float32 (N, d1): the set, one row per vehicle or solid obstacle nearer than
       ``perception_distance``, in front and behind; rows past the M real ones are zero;
-    - ``mask``: MultiBinary int8 (N,): 1 for the real rows.
+    - ``mask``: MultiBinary int8 (N,): 1 for the real rows;
+    - with ``goal``, ``achieved_goal`` and ``desired_goal``: Box float64 (6,): x, y, vx, vy, cos_h
+      and sin_h of the ego and of where it is to park, scaled as in highway-env's own observation.
 
     ``info["set"]`` has ``count`` (M), ``overflow`` (rows left out because M > N) and ``ids`` (row i
     is the same vehicle for as long as ``ids[i]`` is the same number).
@@ -64,6 +67,8 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
             occur. Vehicle values outside are not clipped but leave [-1, 1].
         empty: what M = 0 looks like: all rows zero, or one virtual vehicle far ahead (the paper's).
         on_overflow: ``"warn"`` once and keep the N nearest, or raise ``"error"``.
+        goal: parking's goal as keys of its own, which SB3's ``HerReplayBuffer`` takes with the
+            environment's ``compute_reward``, instead of in ``ego``.
         accelerate: simulate with compiled code on exactly highway-env's trajectories
             (``esc_gym.accelerate``); False: with highway-env's own.
 
@@ -94,6 +99,7 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         ranges: Ranges | None = None,
         empty: Empty = "zeros",
         on_overflow: OnOverflow = "warn",
+        goal: bool = False,
         accelerate: bool = True,
     ) -> None:
         # Lists, not tuples, so that the spec survives JSON.
@@ -108,12 +114,16 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
             ranges=ranges and {name: list(bounds) for name, bounds in ranges.items()},
             empty=empty,
             on_overflow=on_overflow,
+            goal=goal,
             accelerate=accelerate,
         )
         super().__init__(env)
         base = _single_agent(env)
         scenario = scenario_of(base)
-        ego_features = scenario.ego_features if ego_features is None else ego_features
+        if goal and not isinstance(base, ParkingEnv):
+            raise ValueError(f"goal: expected a parking environment, got {type(base).__name__}.")
+        if ego_features is None:
+            ego_features = [name for name in scenario.ego_features if not (goal and _of_goal(name))]
         self.set_spec = SetSpec(
             max_vehicles=_count(max_vehicles, max(1, scenario.capacity(base.config))),
             features=_names("feature", features, VEHICLE_FEATURES),
@@ -124,8 +134,14 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
             ranges=_ranges(ranges or {}),
             empty=_choice("empty", empty, Empty),
             on_overflow=_choice("on_overflow", on_overflow, OnOverflow),
+            goal=bool(goal),
             limits=Limits.of(base.config, perception_distance),
         )
+        if goal and (named := [name for name in self.set_spec.ego_features if _of_goal(name)]):
+            raise ValueError(
+                f"ego_features: expected none of the goal with goal=True, got {', '.join(named)}; "
+                "a replay buffer that puts other goals in its place would leave them as they are."
+            )
         self._install(base)
         fastsim.isolate(base).enabled = accelerate
 
@@ -186,6 +202,15 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
             ) from None
         return np.isin(np.arange(base.action_space.n), available)
 
+    @property
+    def compute_reward(self) -> Any:
+        """highway-env's reward of (achieved, desired, info), goals [6] or batches [B, 6] of them.
+
+        Raises AttributeError without ``goal=True``: who has it is a goal environment to SB3.
+        """
+        base: Any = self.unwrapped
+        return base.compute_reward
+
     def decode(self, observation: Mapping[str, NDArray]) -> Observation:
         """Physical units (m, m/s, 1) of an observation, or of a batch ``[..., N, d1]`` of them.
 
@@ -197,6 +222,10 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         mask = np.asarray(observation["mask"])
         vehicles = kind.rows.decode(observation["vehicles"]) * (mask[..., None] != 0)
         return {"ego": kind.ego.decode(observation["ego"]), "vehicles": vehicles, "mask": mask}
+
+
+def _of_goal(ego_feature: str) -> bool:
+    return ego_feature.startswith("goal_")
 
 
 def _single_agent(env: gym.Env) -> Any:

@@ -34,6 +34,9 @@ Empty = Literal["zeros", "virtual"]
 OnOverflow = Literal["warn", "error"]
 Ranges = Mapping[str, tuple[float, float]]
 Observation = dict[str, np.ndarray]
+# Keys of parking's goal, and their space: x, y, vx, vy, cos_h, sin_h, scaled by highway-env.
+GOALS = ("achieved_goal", "desired_goal")
+GOAL = spaces.Box(-np.inf, np.inf, (6,), np.float64)
 
 
 class MinMax:
@@ -74,6 +77,7 @@ class SetSpec:
     ranges: dict[str, tuple[float, float]]
     empty: Empty
     on_overflow: OnOverflow
+    goal: bool
     limits: Limits = field(repr=False)
 
     def scale(self, table: Mapping[str, Any], names: Sequence[str]) -> MinMax:
@@ -122,14 +126,18 @@ class SetObservationType(ObservationType):
         n, d1 = self.spec.max_vehicles, len(self.spec.features)
         # Zero rows must lie in the space whatever the ranges.
         low, high = np.minimum(self.rows.low, 0), np.maximum(self.rows.high, 0)
+        low, high = np.tile(low, (n, 1)), np.tile(high, (n, 1))
         return spaces.Dict(
-            ego=spaces.Box(-1.0, 1.0, (len(self.spec.ego_features),), np.float32),
-            vehicles=spaces.Box(np.tile(low, (n, 1)), np.tile(high, (n, 1)), (n, d1), np.float32),
-            mask=spaces.MultiBinary(n),
+            {
+                "ego": spaces.Box(-1.0, 1.0, (len(self.spec.ego_features),), np.float32),
+                "vehicles": spaces.Box(low, high, (n, d1), np.float32),
+                "mask": spaces.MultiBinary(n),
+                **({name: GOAL for name in GOALS} if self.spec.goal else {}),
+            }
         )
 
     def observe(self) -> Observation:
-        """One observation: ``ego`` (d2,), ``vehicles`` (N, d1), ``mask`` (N,)."""
+        """One observation: ``ego`` (d2,), ``vehicles`` (N, d1), ``mask`` (N,), goals (6,)."""
         view = EgoView(self.env, self.spec.frame)
         near = self._perceived(view)
         vehicles = np.zeros((self.spec.max_vehicles, len(self.spec.features)), np.float32)
@@ -144,7 +152,11 @@ class SetObservationType(ObservationType):
             vehicles[0], mask[0] = self._virtual_row(), 1
         ids = tuple([number for _, _, number in kept])
         self.info = {"count": len(near), "overflow": len(near) - len(kept), "ids": ids}
-        return {"ego": self._ego(view), "vehicles": vehicles, "mask": mask}
+        observation = {"ego": self._ego(view), "vehicles": vehicles, "mask": mask}
+        if self.spec.goal:
+            goals = self.env.observation_type_parking.observe()  # type: ignore[attr-defined]
+            observation |= {name: goals[name] for name in GOALS}
+        return observation
 
     def _ego(self, view: EgoView) -> NDArray[np.float32]:
         # Scalars, not arrays: d2 is about ten, and NumPy's calls would cost more than the numbers.

@@ -1,12 +1,14 @@
-"""highway-env's parking environments without their goal interface.
+"""highway-env's parking environments, with the goal interface only where it is asked for.
 
-With the set as observation, the goal stands in ``ego`` and there are no ``desired_goal`` keys. An
-environment that still had ``compute_reward`` would be taken for a goal environment (by HER, by SB3
-``check_env``) and fail there. Rewards are the same to the last bit, computed without pandas.
+The set observation has the goal in ``ego``, or with ``SetObservation(goal=True)`` in the keys
+``achieved_goal`` and ``desired_goal``. An environment without them that still had
+``compute_reward`` would be taken for a goal environment (by HER, by SB3 ``check_env``) and fail
+there. Rewards are the same to the last bit, computed without pandas.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,10 +34,13 @@ class GoalObservation(KinematicsGoalObservation):
         return {"observation": achieved, "achieved_goal": achieved, "desired_goal": desired}
 
 
-class _WithoutGoalKeys(ParkingEnv):
+class _SetParking(ParkingEnv):
     @property
     def compute_reward(self) -> Any:  # type: ignore[override]
-        raise AttributeError("compute_reward: the set observation has no goal keys")
+        """``ParkingEnv.compute_reward``, of single goals [6] or a batch [B, 6] of them."""
+        if "achieved_goal" in getattr(self.observation_space, "spaces", {}):
+            return partial(_reward_of, self)
+        raise AttributeError("compute_reward: pass SetObservation(goal=True) for the goal's keys")
 
     def define_spaces(self) -> None:
         super().define_spaces()
@@ -52,19 +57,29 @@ class _WithoutGoalKeys(ParkingEnv):
         return reward > -self.config["success_goal_reward"]
 
 
-class SetParkingEnv(_WithoutGoalKeys):
+def _reward_of(
+    env: ParkingEnv, achieved: NDArray, desired: NDArray, info: Any, p: float = 0.5
+) -> Any:
+    """Of each pair of a batch what it would be alone: one product for all rounds otherwise."""
+    if achieved.ndim == 1:
+        return ParkingEnv.compute_reward(env, achieved, desired, info, p)
+    pairs = zip(achieved, desired, strict=True)
+    return np.array([ParkingEnv.compute_reward(env, one, other, {}, p) for one, other in pairs])
+
+
+class SetParkingEnv(_SetParking):
     """parking-v0."""
 
 
-class SetParkingEnvActionRepeat(_WithoutGoalKeys, ParkingEnvActionRepeat):
+class SetParkingEnvActionRepeat(_SetParking, ParkingEnvActionRepeat):
     """parking-ActionRepeat-v0."""
 
 
-class SetParkingEnvParkedVehicles(_WithoutGoalKeys, ParkingEnvParkedVehicles):
+class SetParkingEnvParkedVehicles(_SetParking, ParkingEnvParkedVehicles):
     """parking-parked-v0."""
 
 
-WITHOUT_GOAL_KEYS: dict[type, type] = {
+SET_PARKING: dict[type, type] = {
     ParkingEnv: SetParkingEnv,
     ParkingEnvActionRepeat: SetParkingEnvActionRepeat,
     ParkingEnvParkedVehicles: SetParkingEnvParkedVehicles,

@@ -17,7 +17,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from esc_gym.fastsim.behavior import original_behavior
 from esc_gym.observation import SetObservation
-from esc_gym.parking import WITHOUT_GOAL_KEYS
+from esc_gym.parking import SET_PARKING
 
 NAMESPACE = "esc_gym"
 HIGHWAY_ENV_IDS = tuple(
@@ -62,7 +62,7 @@ def make(
             f"single-agent environments of highway-env, for example {NAMESPACE}/intersection-v0."
         )
     env_class: Any = load_env_creator(str(gym.registry[base_id].entry_point))
-    env_class = WITHOUT_GOAL_KEYS.get(env_class, env_class)
+    env_class = SET_PARKING.get(env_class, env_class)
     merged = merge_config(env_class.default_config(), config or {})
     # Constructing observes once before ours is there: cheap, and no crash on continuous u-turns.
     merged["observation"] = {"type": "Kinematics"}

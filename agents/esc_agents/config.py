@@ -86,6 +86,8 @@ class ObservationConfig(Model):
     """What a set without vehicles looks like."""
     on_overflow: Literal["warn", "error"] = "warn"
     """What happens when more than max_vehicles are near."""
+    goal: bool = False
+    """Parking's goal in keys of its own, for sac.hindsight, instead of in `ego`."""
     accelerate: bool = True
     """Simulate with compiled code, on the same trajectories."""
 
@@ -145,6 +147,8 @@ class SACConfig(Model):
     learning_rate_schedule: Schedule = "constant"
     """linear: the rate falls from `learning_rate` at the first step to 0 at the last."""
     buffer_size: PositiveInt = 100_000
+    hindsight: bool = False
+    """Learn from goals that were reached by chance, too (HER); needs `observation.goal`."""
     learning_starts: NonNegativeInt = 500
     batch_size: Annotated[int, Field(ge=2)] = 256
     gamma: Probability = 0.98
@@ -216,7 +220,7 @@ def configs_folder() -> Path:
 
 
 def shipped(kind: str) -> dict[str, Path]:
-    """The YAML files that come with the package, by name. kind: "train" or "compare"."""
+    """The YAML files that come with the package, by name. kind: "train", "compare" or "tune"."""
     return {path.stem: path for path in sorted((configs_folder() / kind).glob("*.yaml"))}
 
 
@@ -239,7 +243,7 @@ def load(name: str | Path, kind: str, model: type[M], trust: bool = False) -> M:
     if not path.is_file():
         known = shipped(kind)
         if str(name) not in known:
-            what = {"train": "scenario", "compare": "comparison"}[kind]
+            what = {"train": "scenario", "compare": "comparison", "tune": "search"}[kind]
             raise UserError(
                 f"config: no file {str(name)!r} and no such {what}{_nearest(str(name), known)}"
             )

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from esc_gym.fastsim.geometry import heading_at, local_coordinates, position
-from esc_gym.fastsim.numerics import compiled, dot, libm_of, outlined
+from esc_gym.fastsim.numerics import compiled, cos, dot, libm_of, outlined, sin
 from esc_gym.fastsim.records import CONTROLLED, NO_LANE, OBSTACLE
 from esc_gym.features import near_across, near_along
 from esc_gym.vector.measures import time_to
@@ -205,3 +205,21 @@ def ego_value(s, view, ego, what, lane):
         return lateral
     angle = view.heading - heading_at(s, lane, longitudinal)
     return libm_of(s.np.libm_cos if what == REF_COS else s.np.libm_sin, angle)
+
+
+@outlined
+def goal_entry(s, i, entry):
+    """x, y, vx, vy, cos_h or sin_h of ``to_dict``, of a vehicle or of where it is to park.
+
+    With NumPy's sines and cosines, as there.
+    """
+    thing = s.vehicles[i]
+    if entry == 0:
+        return thing.x
+    if entry == 1:
+        return thing.y
+    if entry == 2:
+        return thing.speed * cos(s.np, thing.heading) if i < s.n else 0.0
+    if entry == 3:
+        return thing.speed * sin(s.np, thing.heading) if i < s.n else 0.0
+    return cos(s.np, thing.heading) if entry == 4 else sin(s.np, thing.heading)

@@ -41,14 +41,7 @@ class Outputs:
     """What E environments returned last. See ``observe.Output``, ``kernel.Told``."""
 
     def __init__(self, space: Any, count: int, rewards: int) -> None:
-        n = space["mask"].n
-        self.seen = observe.Output(
-            np.zeros((count, *space["ego"].shape), np.float32),
-            np.zeros((count, *space["vehicles"].shape), np.float32),
-            np.zeros((count, n), np.int8),
-            np.full((count, n), -1),
-            np.zeros((count, 2), np.int64),
-        )
+        self.seen = observe.Output.empty(space, count)
         self.told = Told(np.zeros(count), np.zeros(count, np.bool_), np.zeros((count, rewards)))
 
     def arrays(self) -> tuple[np.ndarray, ...]:

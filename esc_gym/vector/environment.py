@@ -32,10 +32,10 @@ from esc_gym.vector.infos import (
     Infos,
     add_final,
     add_step,
-    columns_of_step,
     infos_of,
     rows,
     singly,
+    told,
     with_ids,
 )
 from esc_gym.vector.kernel import NOTHING, TERMINATED, TRUNCATED
@@ -256,7 +256,9 @@ class SetVectorEnv(VectorEnv):
         """
         if not self.engine:
             return partial(rows, self._infos, chosen)
-        return partial(singly, columns_of_step(self.engine, chosen, actions))
+        said = told(self.engine.now, chosen)
+        taken = None if actions is None else np.asarray(actions)[chosen]
+        return partial(singly, self.engine.family, said, taken)
 
     @property
     def counts(self) -> np.ndarray:
@@ -264,8 +266,7 @@ class SetVectorEnv(VectorEnv):
         return self.engine.now.seen.counts[:, 0] if self.engine else self._infos["set"]["count"]
 
     def _observation(self, outputs: Any) -> dict[str, np.ndarray]:
-        seen = outputs.seen
-        parts = {"ego": seen.ego, "vehicles": seen.vehicles, "mask": seen.mask}
+        parts = outputs.seen.parts()
         return {name: part.copy() for name, part in parts.items()} if self.copy else parts
 
     def _note_overflow(self) -> None:
@@ -359,6 +360,12 @@ class SetVectorEnv(VectorEnv):
             self._task, self.num_envs, self.set_spec, self.set_spec.limits, self.autoreset_mode,
             self._limit, VEHICLE, HEAD,
         ))  # fmt: skip
+
+    @property
+    def compute_reward(self) -> Any:
+        """Parking's reward of goals [num_envs, 6]; AttributeError without ``goal=True``."""
+        env = self.engine.env if self.engine else self._envs.envs[0]
+        return env.get_wrapper_attr("compute_reward")
 
     def materialise(self, index: int) -> gym.Env:
         """A ``gym.make`` environment in exactly the state of environment ``index``.

@@ -18,24 +18,27 @@ def masked(values: dict[str, Any], mask: np.ndarray) -> Infos:
     return infos
 
 
-def columns_of(engine: Any, outputs: Any, chosen: Any) -> dict[str, Any]:
-    """What some environments say of ``outputs``, of all of which they say it; copies."""
-    told, seen, family = outputs.told, outputs.seen, engine.family
-    counts, names, extras = seen.counts[chosen], family.REWARDS, getattr(family, "EXTRAS", {})
+def told(outputs: Any, chosen: Any) -> tuple[np.ndarray, ...]:
+    """Copies of what infos of some environments are made of."""
+    seen, said = outputs.seen, outputs.told
+    return tuple(
+        a.take(chosen, axis=0)
+        for a in (seen.counts, seen.ids, said.speed, said.crashed, said.rewards)
+    )
+
+
+def columns_of(family: Any, said: tuple[np.ndarray, ...]) -> dict[str, Any]:
+    """``told`` by name, of environments that say all of it."""
+    counts, ids, speed, crashed, rewards = said
+    names, extras = family.REWARDS, getattr(family, "EXTRAS", {})
     columns = {
         name: column.astype(kind)
-        for (name, kind), column in zip(
-            (names | extras).items(), told.rewards[chosen].T, strict=True
-        )
+        for (name, kind), column in zip((names | extras).items(), rewards.T, strict=True)
     }
     found: dict[str, Any] = {
-        "set": {
-            "count": counts[:, 0].copy(),
-            "overflow": counts[:, 1].copy(),
-            "ids": seen.ids[chosen].copy(),
-        },
-        "speed": told.speed[chosen].copy(),
-        "crashed": told.crashed[chosen].copy(),
+        "set": {"count": counts[:, 0], "overflow": counts[:, 1], "ids": ids},
+        "speed": speed,
+        "crashed": crashed,
     }
     if names:
         found["rewards"] = {name: columns[name] for name in names}
@@ -49,16 +52,16 @@ def infos_of(engine: Any, outputs: Any, mask: np.ndarray, reset: np.ndarray | No
 
     By default all are: only families that are SILENT say less after a step.
     """
-    found = columns_of(engine, outputs, slice(None))
+    found = columns_of(engine.family, told(outputs, np.arange(len(mask))))
     infos = masked({"set": found.pop("set")}, mask)
     speaking = mask if reset is None or not hasattr(engine.family, "SILENT") else reset
     return infos | masked(found, speaking) if speaking.any() else infos
 
 
-def of_step(engine: Any, infos: Infos, actions: np.ndarray) -> Infos:
+def of_step(family: Any, infos: Infos, actions: np.ndarray) -> Infos:
     """What there is only after a step. infos: what else is said of it."""
     found: Infos = {"action": actions}
-    if name := getattr(engine.family, "SUCCESS", None):
+    if name := getattr(family, "SUCCESS", None):
         found["is_success"] = infos["rewards"][name]
     return found
 
@@ -66,34 +69,27 @@ def of_step(engine: Any, infos: Infos, actions: np.ndarray) -> Infos:
 def add_step(infos: Infos, engine: Any, actions: np.ndarray, mask: np.ndarray) -> None:
     """Add what there is only after a step."""
     if mask.any() and not hasattr(engine.family, "SILENT"):
-        infos.update(masked(of_step(engine, infos, actions), mask))
+        infos.update(masked(of_step(engine.family, infos, actions), mask))
 
 
 def add_final(infos: Infos, engine: Any, actions: np.ndarray, ended: np.ndarray) -> None:
     """What the last step of those episodes gave that have ended and begun anew."""
     observations = np.full(len(ended), None, object)
-    ego, vehicles, mask, *_ = engine.final.seen
+    parts = engine.final.seen.parts()
     for e in np.flatnonzero(ended):
-        parts = {"ego": ego[e], "vehicles": vehicles[e], "mask": mask[e]}
-        observations[e] = {name: part.copy() for name, part in parts.items()}
+        observations[e] = {name: part[e].copy() for name, part in parts.items()}
     last = infos_of(engine, engine.final, ended, ~engine.everywhere)
     add_step(last, engine, actions, ended)
     infos.update(masked({"final_obs": observations, "final_info": last}, ended))
 
 
-def columns_of_step(engine: Any, chosen: np.ndarray, actions: Any) -> dict[str, Any]:
-    """What some environments said last. actions: of the step, None of a reset."""
-    found = columns_of(engine, engine.now, chosen)
-    if actions is None:
-        return found
-    if hasattr(engine.family, "SILENT"):
-        return {"set": found["set"]}
-    return found | of_step(engine, found, np.asarray(actions)[chosen])
-
-
-def singly(columns: dict[str, Any]) -> list[Infos]:
-    """Infos as ``gym.make`` gives them, of each environment of ``columns_of``."""
-    return [_without_padding(info) for info in _split(columns)]
+def singly(family: Any, said: tuple[np.ndarray, ...], actions: Any) -> list[Infos]:
+    """``told`` as infos of ``gym.make``. actions: of the step, None of a reset."""
+    found = columns_of(family, said)
+    if actions is not None:
+        silent = hasattr(family, "SILENT")
+        found = {"set": found["set"]} if silent else found | of_step(family, found, actions)
+    return [_without_padding(info) for info in _split(found)]
 
 
 def _split(columns: dict[str, Any]) -> list[Infos]:

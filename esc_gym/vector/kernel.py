@@ -71,16 +71,18 @@ def decide(
 def look_all(
     vehicles, counts, routes, lanes, lon, lat, seats, ranks, ranked, link_start, link_lane,
     link_offset, exits, poses, widths, samples, numerics, ids, heads, generators,
-    reach, rules, columns, center, half, ego_columns, ego_center, ego_half, virtual,
-    ego, others, mask, out_ids, out_counts, told_speed, told_crashed,
+    reach, rules, columns, center, half, ego_columns, ego_center, ego_half, virtual, goal_scales,
+    ego, others, mask, out_ids, out_counts, achieved, desired, told_speed, told_crashed,
     speed, crashed, along, is_on_road, road, lane, time, chosen, observing, measuring, first, last
 ):  # fmt: skip
     """Observe and measure the environments that are ``chosen`` [E].
 
     See ``Spec``, ``Output`` and ``Measured``. measuring: NOTHING, DRIVING, or COLLISIONS, too.
     """
-    spec = Spec(reach, rules, columns, center, half, ego_columns, ego_center, ego_half, virtual)
-    out = Output(ego, others, mask, out_ids, out_counts)
+    spec = Spec(
+        reach, rules, columns, center, half, ego_columns, ego_center, ego_half, virtual, goal_scales
+    )
+    out = Output(ego, others, mask, out_ids, out_counts, achieved, desired)
     measured = Measured(speed, crashed, along, is_on_road, road, lane, time)
     for e in range(first, last):
         if not chosen[e]:

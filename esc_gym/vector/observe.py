@@ -13,11 +13,13 @@ import numpy as np
 
 from esc_gym.fastsim.numerics import compiled, outlined
 from esc_gym.features import EGO_FEATURES, VEHICLE_FEATURES
+from esc_gym.observation_type import GOALS
 from esc_gym.vector import generators
 from esc_gym.vector.columns import (
     EGO_COLUMNS,
     VEHICLE_COLUMNS,
     ego_value,
+    goal_entry,
     vehicle_row,
     view_of,
 )
@@ -32,7 +34,7 @@ class Spec(NamedTuple):
 
     reach: perception distance [m]. rules: see ORDER. columns [d1], center, half: numbers in
     VEHICLE_COLUMNS and scale of the vehicles' columns; ego_* [d2] likewise. virtual [d1]: the row
-    that stands for nobody.
+    that stands for nobody. goal_scales [6]: of the goal's entries; [0] without goals.
     """
 
     reach: float
@@ -44,13 +46,15 @@ class Spec(NamedTuple):
     ego_center: np.ndarray
     ego_half: np.ndarray
     virtual: np.ndarray
+    goal_scales: np.ndarray
 
 
 class Output(NamedTuple):
     """One observation of each of E environments, as the spaces have it.
 
     ego [E, d2], vehicles [E, N, d1], mask [E, N]; ids [E, N] with -1 past the M real rows;
-    counts [E, 2]: all that are perceived, and those left out.
+    counts [E, 2]: all that are perceived, and those left out. achieved, desired [E, 6]: the goal's
+    entries, [E, 0] without goals.
     """
 
     ego: np.ndarray
@@ -58,6 +62,29 @@ class Output(NamedTuple):
     mask: np.ndarray
     ids: np.ndarray
     counts: np.ndarray
+    achieved: np.ndarray
+    desired: np.ndarray
+
+    @classmethod
+    def empty(cls, space: Any, count: int) -> Output:
+        """Room for observations of ``count`` environments. space: of one."""
+        n, goals = space["mask"].n, [space[name].shape if name in space.spaces else (0,)
+                                     for name in GOALS]  # fmt: skip
+        return cls(
+            np.zeros((count, *space["ego"].shape), np.float32),
+            np.zeros((count, *space["vehicles"].shape), np.float32),
+            np.zeros((count, n), np.int8),
+            np.full((count, n), -1),
+            np.zeros((count, 2), np.int64),
+            *(np.zeros((count, *shape)) for shape in goals),
+        )
+
+    def parts(self) -> dict[str, np.ndarray]:
+        """What is observed, by name; no copies."""
+        parts = {"ego": self.ego, "vehicles": self.vehicles, "mask": self.mask}
+        if self.achieved.shape[1]:
+            parts |= dict(zip(GOALS, (self.achieved, self.desired), strict=True))
+        return parts
 
 
 def unknown(kind: Any) -> str:
@@ -89,6 +116,7 @@ def spec_of(kind: Any) -> Spec:
         np.array([EGO_COLUMNS.index(name) for name in spec.ego_features], np.int64),
         ego.center, ego.half,
         kind._virtual_row().astype(np.float32),
+        np.array(kind.env.observation_type_parking.scales if spec.goal else (), float),
     )  # fmt: skip
 
 
@@ -172,4 +200,7 @@ def observe(s, ego, e, spec, order_generator, ids, lane, next_id, out):
         if value > 1.0 or value < -1.0:
             value = copysign(1.0, value)
         out.ego[e, column] = np.float32(value)
+    for entry in range(len(spec.goal_scales)):
+        out.achieved[e, entry] = goal_entry(s, ego, entry) / spec.goal_scales[entry]
+        out.desired[e, entry] = goal_entry(s, s.n, entry) / spec.goal_scales[entry]
     return next_id

@@ -23,11 +23,11 @@ from esc_agents.compare.grid import (
     train_config,
     tuning_cells,
 )
-from esc_agents.compare.jobs import BaselineJob, Interrupted, Job, TrainJob
-from esc_agents.compare.progress import Board
+from esc_agents.compare.jobs import BaselineJob, Job, TrainJob
+from esc_agents.compare.progress import run_jobs
 from esc_agents.compare.report import write_report
 from esc_agents.driving.checks import check
-from esc_agents.errors import UserError, reason, say
+from esc_agents.errors import UserError, say
 from esc_agents.reporting.tables import show, terminal
 from esc_agents.training.run_directory import locked, note_command
 from esc_gym.encoders import APEncoder, representation
@@ -119,20 +119,8 @@ def choice(planned: Plan, cell: Cell, out: Path) -> Candidate:
 
 
 def _run(title: str, jobs: Sequence[Job], planned: Plan, out: Path, engine: Engine) -> None:
-    if not jobs:
-        return
     steps = {job.name: planned.steps(job.cell) for job in jobs if isinstance(job, TrainJob)}
-    with Board(title, jobs, steps) as board:
-        engine.run(jobs, out, board.done, board.post)
-    failed = [(job, error) for job, error in board.failed if not isinstance(error, Interrupted)]
-    if failed:
-        job, error = failed[0]
-        raise UserError(
-            f"{len(failed)} of {len(jobs)} jobs failed, the rest is kept; the first is {job.name}: "
-            f"{reason(error)}"
-        )
-    if board.failed:
-        raise KeyboardInterrupt
+    run_jobs(title, jobs, steps, out, engine)
 
 
 def dry_run(config: CompareConfig, out: Path, workers: int, trust: bool = False) -> None:
@@ -148,7 +136,7 @@ def dry_run(config: CompareConfig, out: Path, workers: int, trust: bool = False)
         finished = len(study) - len(unfinished(study, out, trust))
         slots = planned.slots[env] if issubclass(representation(repr), APEncoder) else ""
         sizes = (planned.vehicles[env], slots, len(tuning), len(study), finished)
-        rows.append([f"{env} {repr}", *map(str, sizes), f"{config.steps:,}"])
+        rows.append([f"{env} {repr}", *map(str, sizes), f"{planned.steps(study[0]):,}"])
     show(terminal(rows, "Grid"))
     seconds, memory = 0.0, 0
     for env in config.env:

@@ -60,8 +60,8 @@ class CompareConfig(Model):
     """sac drives with throttle and steering; ppo as the scenario says."""
     seeds: Annotated[int, Field(ge=1, lt=TUNING_SEED)] = 5
     """Runs of each representation in each scenario, with seeds 0, 1, 2, ..."""
-    steps: PositiveInt = 200_000
-    """Training steps of each run."""
+    steps: PositiveInt | None = 200_000
+    """Training steps of each run; None: as many as the scenario says."""
     slots: PositiveInt | None = None
     """Z: fp takes the Z nearest vehicles, ap any Z; default: N, which is all of them."""
     episodes: PositiveInt = 50
@@ -165,9 +165,9 @@ def study_cells(config: CompareConfig) -> list[Cell]:
 def train_config(config: CompareConfig, cell: Cell, slots: int) -> TrainConfig:
     """The training configuration of a run. slots: Z of fp and ap."""
     base = scenario(config, cell.env, cell.traffic)
-    steps = config.steps
+    steps = config.steps or base.steps
     if cell.tuning:
-        steps = config.tuning.steps or max(1, config.steps // 3)
+        steps = config.tuning.steps or max(1, steps // 3)
     seed = TUNING_EPISODES if cell.tuning else base.evaluation.seed
     arguments: dict[str, Any] = {**base.encoder.arguments}
     if cell.candidate.scale != 1.0:
@@ -185,21 +185,22 @@ def train_config(config: CompareConfig, cell: Cell, slots: int) -> TrainConfig:
         cell.algo: {"learning_rate": rate},
         "evaluation": {"seed": seed, "every": max(1, steps // 10)},
     }
-    return _changed(base, changes)
+    return changed(base, changes)
 
 
 def scenario(config: CompareConfig, env: str, traffic: str = "") -> TrainConfig:
     """A scenario with the comparison's algorithm and ``train``, in its own or other traffic."""
     if own := sorted(OWN & config.train.keys()):
         raise UserError(f"train: {', '.join(own)}: set by the comparison itself; leave it out")
-    base = _changed(config_for_env(env), {"device": "cpu", "algo": config.algo, **config.train})
+    base = changed(config_for_env(env), {"device": "cpu", "algo": config.algo, **config.train})
     if traffic:
         other = config.transfer[env][traffic]
-        base = _changed(base, {"env_config": merge(base.env_config, other)})
+        base = changed(base, {"env_config": merge(base.env_config, other)})
     return base
 
 
-def _changed(base: TrainConfig, changes: dict[str, Any]) -> TrainConfig:
+def changed(base: TrainConfig, changes: dict[str, Any]) -> TrainConfig:
+    """``base`` with fields of a training run changed. Raises UserError where they are none."""
     try:
         return TrainConfig.model_validate(merge(base.model_dump(), changes))
     except ValidationError as error:

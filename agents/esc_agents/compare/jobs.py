@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,8 +85,8 @@ class TrainJob:
     def do(self, out: Path, post: Post) -> None:
         start = time.perf_counter()
         config, folder = train_config(self.config, self.cell, self.slots), self.files(out)[0]
-        with _into_log(out, self.cell):
-            _train(config, folder, post, self.name, self.trust)
+        with into_log(folder):
+            train_into(config, folder, post, self.name, self.trust)
             # Of no use any more, and with SAC's replay buffer hundreds of MB for each run. Before
             # the result, since who has that is not asked again.
             rmtree(folder / "checkpoints", ignore_errors=True)
@@ -145,18 +145,20 @@ class BaselineJob:
 
 
 @contextmanager
-def _into_log(out: Path, cell: Cell) -> Iterator[None]:
+def into_log(folder: Path) -> Iterator[None]:
     """What a run prints, into a file beside its directory."""
-    folder = store.run_folder(out, cell)
     folder.parent.mkdir(parents=True, exist_ok=True)
     log = folder.with_name(f"{folder.name}.log").open("a", encoding="utf-8")
     with log, redirect_stdout(log), redirect_stderr(log):
         yield
 
 
-def _train(config: TrainConfig, folder: Path, post: Post, name: str, trust: bool) -> None:
+def train_into(
+    config: TrainConfig, folder: Path, post: Post, name: str, trust: bool,
+    listeners: Sequence[BaseCallback] = (),
+) -> None:  # fmt: skip
     """Train into ``folder``, or go on there; nothing where it is done. Raises Interrupted."""
-    listener = _Listener(name, post)
+    listeners = [_Listener(name, post), *listeners]
     if folder.exists():
         if not (folder / "config.yaml").exists():
             raise UserError(
@@ -172,9 +174,9 @@ def _train(config: TrainConfig, folder: Path, post: Post, name: str, trust: bool
             raise UserError(
                 f"{folder} was trained with other settings; remove it, and its run is done anew"
             )
-        finished = train(begun, resume=folder, trust=trust, listeners=[listener])
+        finished = train(begun, resume=folder, trust=trust, listeners=listeners)
     else:
-        finished = train(config.model_copy(update={"run_dir": folder}), listeners=[listener])
+        finished = train(config.model_copy(update={"run_dir": folder}), listeners=listeners)
     if not finished:
         raise Interrupted
 

@@ -6,14 +6,16 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import isnan
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from esc_agents.compare.jobs import BaselineJob, Job, Progress, TrainJob
-from esc_agents.errors import say
+from esc_agents.compare.engines import Engine
+from esc_agents.compare.jobs import BaselineJob, Interrupted, Job, Progress, TrainJob
+from esc_agents.errors import UserError, reason, say
 
 COLUMNS = ("", "runs", "steps", "return", "crashes", "steps/s", "left")
 
@@ -146,3 +148,25 @@ def _clock(seconds: float | None) -> str:
         return ""
     minutes = round(seconds / 60)
     return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
+
+
+def run_jobs(
+    title: str, jobs: Sequence[Job], steps: dict[str, int], out: Path, engine: Engine
+) -> None:
+    """Run jobs and show how they do. steps: of those that train, by name.
+
+    Raises UserError if one failed, once the others are through; KeyboardInterrupt if interrupted.
+    """
+    if not jobs:
+        return
+    with Board(title, jobs, steps) as board:
+        engine.run(jobs, out, board.done, board.post)
+    failed = [(job, error) for job, error in board.failed if not isinstance(error, Interrupted)]
+    if failed:
+        job, error = failed[0]
+        raise UserError(
+            f"{len(failed)} of {len(jobs)} jobs failed, the rest is kept; the first is {job.name}: "
+            f"{reason(error)}"
+        )
+    if board.failed:
+        raise KeyboardInterrupt

@@ -26,6 +26,8 @@ def check(config: TrainConfig) -> gym.Env:
     env = check_env(config)
     with _explained(config):
         _try_encoder(config, env)
+    if config.algo == "sac" and config.sac.hindsight:
+        _check_hindsight(config, env)
     rollout = config.ppo.n_steps * config.n_envs
     if config.algo == "ppo" and config.ppo.batch_size > rollout:
         raise UserError(
@@ -33,6 +35,21 @@ def check(config: TrainConfig) -> gym.Env:
             f"{config.ppo.batch_size}; raise --ppo.n-steps or lower --ppo.batch-size"
         )
     return env
+
+
+def _check_hindsight(config: TrainConfig, env: gym.Env) -> None:
+    if not config.observation.goal:
+        raise UserError(
+            "sac.hindsight: expected observation.goal true, got false; add --observation.goal, "
+            "which only parking has"
+        )
+    base: Any = env.unwrapped
+    longest = int(base.config["duration"] * base.config["policy_frequency"]) * config.n_envs
+    if config.sac.learning_starts < longest:
+        raise UserError(
+            f"sac.learning_starts: expected at least {longest}, {config.n_envs} whole episodes, to "
+            f"take goals of, got {config.sac.learning_starts}"
+        )
 
 
 def check_env(config: TrainConfig) -> gym.Env:

@@ -25,7 +25,8 @@ class Episode:
 
     seed of the environment; reward: the return; length [policy steps]; speed: mean [m/s];
     progress: way made along the lanes [m]; off_road: share of the steps; vehicles: mean size M of
-    the set; min_ttc: least time to collision [s], inf for none.
+    the set; min_ttc: least time to collision [s], inf for none; arrived: at the exit, the parking
+    spot or behind the intersection, None where there is nothing to arrive at.
     """
 
     seed: int
@@ -38,6 +39,7 @@ class Episode:
     lane_changes: int
     vehicles: float
     min_ttc: float
+    arrived: bool | None = None
 
 
 COLUMNS = ("policy", "return", "collisions", "speed m/s", "steps", "lane changes", "min TTC s")
@@ -46,7 +48,10 @@ MEANS = ("speed", "progress", "off_road", "length", "lane_changes", "vehicles")
 
 @dataclass(frozen=True)
 class Summary:
-    """Means over episodes; intervals are 95 % (Student's t; Wilson for the collision rate)."""
+    """Means over episodes; intervals are 95 % (Student's t; Wilson for the collision rate).
+
+    arrived: share of the episodes, None where there is nothing to arrive at.
+    """
 
     episodes: int
     reward: float
@@ -62,6 +67,7 @@ class Summary:
     lane_changes: float
     vehicles: float
     min_ttc: float
+    arrived: float | None = None
 
     @classmethod
     def of(cls, episodes: Sequence[Episode]) -> Summary:
@@ -78,6 +84,7 @@ class Summary:
             *wilson_interval(crashes, len(episodes)),
             *map(mean, MEANS),
             min_ttc=float(np.median([episode.min_ttc for episode in episodes])),
+            arrived=None if episodes[0].arrived is None else mean("arrived"),
         )
 
 
@@ -101,7 +108,7 @@ def evaluate(
         check_faults(infos)
         for info in infos:
             if episode := info.get("episode"):
-                ended[episode["seed"]] = _episode(episode)
+                ended[episode["seed"]] = _episode(episode, _arrived(info))
     return [ended[seed] for seed in seeds if seed in ended]
 
 
@@ -112,9 +119,15 @@ def check_faults(infos: Sequence[dict[str, Any]], where: str = "evaluation") -> 
             raise UserError(f"{where}, environment {index}, {fault}")
 
 
-def _episode(info: dict[str, Any]) -> Episode:
+def _arrived(info: dict[str, Any]) -> bool | None:
+    """What the last info of an episode says of it, by the names that highway-env has for it."""
+    arrived = info.get("is_success", info.get("rewards", {}).get("arrived_reward"))
+    return None if arrived is None else bool(arrived)
+
+
+def _episode(info: dict[str, Any], arrived: bool | None) -> Episode:
     return Episode(
-        reward=info["r"], length=info["l"], crashed=bool(info["crashed"]),
+        reward=info["r"], length=info["l"], crashed=bool(info["crashed"]), arrived=arrived,
         **{name: info[name] for name in ("seed", *MEANS, "min_ttc") if name != "length"},
     )  # fmt: skip
 
@@ -136,13 +149,20 @@ def as_rows(results: dict[str, Summary]) -> list[dict[str, Any]]:
 
 def summaries(rows: Sequence[dict[str, Any]]) -> dict[str, Summary]:
     """``as_rows`` back; JSON has null for no time to collision."""
-    values: list[Any] = [{k: inf if v is None else v for k, v in row.items()} for row in rows]
+    values: list[Any] = [
+        {**row, "min_ttc": inf if row["min_ttc"] is None else row["min_ttc"]} for row in rows
+    ]
     return {row.pop("policy"): Summary(**row) for row in values}
 
 
 def table(results: dict[str, Summary]) -> list[Sequence[str]]:
     """A header and a row for each policy, for people; brackets hold 95 % intervals."""
-    return [COLUMNS, *(_cells(name, summary) for name, summary in results.items())]
+    rows = [list(COLUMNS), *(_cells(name, summary) for name, summary in results.items())]
+    if any(summary.arrived is not None for summary in results.values()):
+        shares = [None if s.arrived is None else f"{s.arrived:.0%}" for s in results.values()]
+        for row, cell in zip(rows, ["arrived", *shares], strict=True):
+            row.insert(3, cell or "")
+    return rows  # type: ignore[return-value]
 
 
 def return_of(summary: Summary) -> str:

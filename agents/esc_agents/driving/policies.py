@@ -29,6 +29,7 @@ from esc_agents.driving.environments import MEANING
 from esc_agents.errors import UserError
 from esc_gym.adaptation import pinned_arguments
 from esc_gym.extractors import SetExtractor
+from esc_gym.observation_type import GOAL, GOALS
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
 POLICIES: dict[str, type[BasePolicy]] = {"ppo": MultiInputActorCriticPolicy, "sac": SACPolicy}
@@ -70,7 +71,7 @@ class PolicyDescription(_Described):
 
     sha256: of the file of weights. mac: see ``strangers.signed``. steps: of training. encoder:
     arguments of esc_gym's SetExtractor, all sizes said. observation: what wrapper.json of the run
-    says, the meaning of the inputs.
+    says, the meaning of the inputs. goal: whether they have parking's goal.
     """
 
     schema_version: Literal[1] = 1
@@ -80,6 +81,7 @@ class PolicyDescription(_Described):
     steps: int
     ego: BoxSpace
     vehicles: BoxSpace
+    goal: bool = False
     action: BoxSpace | DiscreteSpace
     encoder: dict[str, Any]
     net_arch: tuple[int, ...]
@@ -90,7 +92,12 @@ class PolicyDescription(_Described):
         """The policy, its weights not yet loaded."""
         n = self.vehicles.shape[0]
         observation = spaces.Dict(
-            ego=self.ego.build(), vehicles=self.vehicles.build(), mask=spaces.MultiBinary(n)
+            {
+                "ego": self.ego.build(),
+                "vehicles": self.vehicles.build(),
+                "mask": spaces.MultiBinary(n),
+                **({name: GOAL for name in GOALS} if self.goal else {}),
+            }
         )
         return POLICIES[self.algo](
             observation, self.action.build(), lambda _: 0.0,  # type: ignore[arg-type]
@@ -113,6 +120,7 @@ def save_policy(
         steps=model.num_timesteps,
         ego=BoxSpace.of(inputs["ego"]),
         vehicles=BoxSpace.of(inputs["vehicles"]),
+        goal=GOALS[0] in inputs.spaces,
         action=DiscreteSpace(n=int(action.n))
         if isinstance(action, spaces.Discrete)
         else BoxSpace.of(action),

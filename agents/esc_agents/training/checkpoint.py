@@ -19,6 +19,7 @@ from threading import Thread
 from typing import Any
 
 import torch
+from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
@@ -64,6 +65,8 @@ def restore(
     model = algorithm.__new__(algorithm)
     vars(model).update(found["model"], _custom_logger=False, _vec_normalize_env=None)
     model.set_env(envs, force_reset=False)
+    if isinstance(replay := getattr(model, "replay_buffer", None), HerReplayBuffer):
+        replay.set_env(envs)
     _restore_environments(envs, found["envs"])
     return model, found
 

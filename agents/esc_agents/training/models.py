@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from stable_baselines3 import PPO, SAC
+from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import LinearSchedule, get_device
 from stable_baselines3.common.vec_env import VecEnv
@@ -19,7 +19,7 @@ from esc_gym.extractors import SetExtractor
 from esc_gym.matching import parameter_count
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
-OURS = {"net_arch", "ortho_init", "learning_rate_schedule", "ent_coef_schedule"}
+OURS = {"net_arch", "ortho_init", "learning_rate_schedule", "ent_coef_schedule", "hindsight"}
 """Hyperparameters that are no arguments of SB3's algorithms by these names."""
 
 
@@ -40,6 +40,8 @@ def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
     if config.algo == "ppo":
         policy["ortho_init"] = config.ppo.ortho_init
         adam["eps"] = 1e-5  # what SB3 takes where it is given no arguments
+    elif config.sac.hindsight:
+        settings["replay_buffer_class"] = HerReplayBuffer
     policy["optimizer_kwargs"] = adam
     try:
         return ALGORITHMS[config.algo](

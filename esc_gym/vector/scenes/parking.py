@@ -15,13 +15,14 @@ from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.engine import machine
 from esc_gym.fastsim.geometry import position
 from esc_gym.fastsim.known import Repeated
-from esc_gym.fastsim.numerics import FUSED_SECOND, compiled, cos, fused, outlined, power, sin
-from esc_gym.parking import WITHOUT_GOAL_KEYS
+from esc_gym.fastsim.numerics import FUSED_SECOND, compiled, fused, outlined, power
+from esc_gym.parking import SET_PARKING
+from esc_gym.vector.columns import goal_entry
 from esc_gym.vector.generators import below, uniform
 from esc_gym.vector.kernel import beginning, judging
 from esc_gym.vector.scenes.roads import create, make_on_lane, place
 
-CLASSES = tuple(WITHOUT_GOAL_KEYS.values())
+CLASSES = tuple(SET_PARKING.values())
 REWARDS: dict[str, type] = {}
 EXTRAS = {"is_success": np.bool_}
 SUCCEEDED = 0
@@ -95,23 +96,10 @@ def without(spots, count, lane):
 @outlined
 def proximity(s, ego, c):
     """``ParkingEnv.compute_reward`` of ``GoalObservation``."""
-    me, goal = s.vehicles[ego], s.vehicles[s.n]
     total = 0.0
     for index in range(6):
-        mine = theirs = 0.0
-        if index == 0:
-            mine, theirs = me.x, goal.x
-        elif index == 1:
-            mine, theirs = me.y, goal.y
-        elif index == 2:
-            mine = me.speed * cos(s.np, me.heading)
-        elif index == 3:
-            mine = me.speed * sin(s.np, me.heading)
-        elif index == 4:
-            mine, theirs = cos(s.np, me.heading), cos(s.np, goal.heading)
-        else:
-            mine, theirs = sin(s.np, me.heading), sin(s.np, goal.heading)
-        apart = abs(mine / c[SCALES + index] - theirs / c[SCALES + index])
+        mine = goal_entry(s, ego, index) / c[SCALES + index]
+        apart = abs(mine - goal_entry(s, s.n, index) / c[SCALES + index])
         total = add_product(s.np.dot, total, apart, c[WEIGHTS + index])
     return -power(s.np, total, 0.5)
 

@@ -114,6 +114,8 @@ def test_as_stock(name, drawn, request):
     config, observation = {}, {}
     if drawn:
         config, observation = drawn_config(name, rng), drawn_observation(rng)
+        if name.startswith("parking"):
+            observation["goal"] = True
     expected = compare(
         f"{NAMESPACE}/{name}", config, seeds=range(100 * drawn, 100 * drawn + count),
         steps=4 * (LIMIT + 1), threads=1 + drawn % 2, disturbed=True, max_episode_steps=LIMIT,

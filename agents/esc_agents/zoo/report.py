@@ -1,0 +1,160 @@
+"""What comes with the package and how it drives: a page for all agents, a model card for each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from esc_agents import files
+from esc_agents.compare import store
+from esc_agents.compare.films import shown, together
+from esc_agents.compare.grid import EPISODES
+from esc_agents.config import TrainConfig, flow
+from esc_agents.driving.baselines import best_blind
+from esc_agents.driving.episodes import Summary, model_policy, return_of
+from esc_agents.driving.films import gif, record
+from esc_agents.driving.policies import load_policy
+from esc_agents.driving.rule_driver import RULE
+from esc_agents.errors import say
+from esc_agents.reporting.tables import markdown
+from esc_agents.training.run_directory import write_checksums
+from esc_agents.zoo.keeping import Kept, best_of, keep
+
+COLUMNS = (
+    "agent", "return", "crashes", "arrived", "speed m/s", "best blind policy", RULE,
+    "above both", "steps", "minutes",
+)  # fmt: skip
+TEXT = """# The zoo
+
+Agents that come with the package. Each row: the final policies of {seeds} runs of the scenario's
+recipe, {episodes} episodes each from seed {first:,} on, which no training saw; brackets hold 95 %
+intervals over all of these episodes. The agent that is kept is the run which was best at its own
+evaluations in training. "Above both": the interval of the return lies above those of every policy
+that never looks, and of IDM/MOBIL, on the same episodes. Minutes: of one run, with {workers}.
+
+    esc-eval --pretrained NAME
+    esc-train --env SCENARIO --start-from zoo:NAME
+"""
+CARD = """# {name}
+
+Drives `{env}` ({id}), seeing the vehicles within {reach:g} m as a set; representation `{repr}`,
+trained with {algo} for {steps:,} steps.
+
+{table}
+
+- Trained and evaluated by: `{command}`, seed {seed}; again: `{train}`
+- Made with: {versions}
+- Sees: {features} of each vehicle; {ego_features} of itself.
+- Knows nothing but highway-env's traffic, in this scenario, as configured in `config.yaml`: it is
+  no driver for any road.
+"""
+
+
+def publish(comparison: Path, docs: Path) -> list[Kept]:
+    """Put a comparison's best agents into the zoo, and write ``docs``/zoo.md with their films."""
+    agents = best_of(comparison)
+    for agent in agents:
+        run = store.run_folder(comparison, agent.chosen.cell)
+        folder = keep(run, agent.name)
+        files.write_text(folder / "README.md", card(agent, command_of(comparison)))
+        write_checksums(folder)
+        (docs / "zoo").mkdir(parents=True, exist_ok=True)
+        _film(agent, folder, docs / "zoo" / f"{agent.name}.gif")
+        say(f"{folder}: {agent.chosen.cell.name} of {agent.task.folder}")
+    files.write_text(docs / "zoo.md", page(agents, command_of(comparison)))
+    say(f"Written: {docs / 'zoo.md'}")
+    return agents
+
+
+def command_of(comparison: Path) -> str:
+    """What made the comparison: the last line of its command.txt that trained something."""
+    lines = (comparison / "command.txt").read_text(encoding="utf-8").splitlines()
+    commands = [line for line in lines if line.startswith("esc-compare")]
+    return commands[0] if commands else "esc-compare"
+
+
+def page(agents: Sequence[Kept], command: str) -> str:
+    """docs/zoo.md."""
+    first = agents[0]
+    text = TEXT.format(
+        seeds=len(first.runs), episodes=len(first.chosen.drives[""]), first=EPISODES,
+        workers="as many at a time as processors",
+    )  # fmt: skip
+    versions = sorted({flow(run.made_with) for agent in agents for run in agent.runs})
+    table = markdown([COLUMNS, *map(row, agents)])
+    films = [f"### {a.name}\n\n![{a.name}, one episode](zoo/{a.name}.gif)" for a in agents]
+    made = "\n".join(f"- `{line}`" for line in versions)
+    parts = [text, table, f"Trained by `{command}`; made with:\n\n{made}", "## Films", *films]
+    return "\n".join(f"{part.strip()}\n" for part in parts)
+
+
+def row(agent: Kept) -> list[str]:
+    """An agent's line of the table."""
+    summary, (blind, rule) = agent.summary, rivals(agent)
+    minutes = sum(run.seconds for run in agent.runs) / len(agent.runs) / 60
+    return [
+        agent.name, return_of(summary), crashes(summary), arrivals(summary),
+        f"{summary.speed:.1f}", said(blind), said(rule) if rule else "cannot drive",
+        "yes" if above(agent) else "no", f"{steps(agent):,}", f"{minutes:.0f}",
+    ]  # fmt: skip
+
+
+def rivals(agent: Kept) -> tuple[Summary, Summary | None]:
+    """(the best policy that never looks, IDM/MOBIL if it can drive there)."""
+    baselines = agent.task.baselines
+    return baselines.blind[best_blind(baselines.blind)], baselines.rule
+
+
+def above(agent: Kept) -> bool:
+    """Whether the return is clearly above those of both."""
+    rule = agent.task.baselines.rule
+    others = [*agent.task.baselines.blind.values(), *([rule] if rule else [])]
+    return agent.summary.reward_low > max(summary.reward_high for summary in others)
+
+
+def steps(agent: Kept) -> int:
+    return TrainConfig.model_validate(agent.chosen.config).steps
+
+
+def crashes(summary: Summary) -> str:
+    low, high = summary.collision_low, summary.collision_high
+    return f"{summary.collision_rate:.1%} [{low:.1%}, {high:.1%}]"
+
+
+def arrivals(summary: Summary) -> str:
+    return "" if summary.arrived is None else f"{summary.arrived:.0%}"
+
+
+def said(summary: Summary) -> str:
+    """Another driver, in short."""
+    return f"{return_of(summary)}, {summary.collision_rate:.0%} crashes"
+
+
+def card(agent: Kept, command: str) -> str:
+    """An agent's README.md."""
+    run, (blind, rule) = agent.chosen, rivals(agent)
+    config, own = TrainConfig.model_validate(run.config), Summary.of(run.drives[""])
+    rows = [("", "return", "crashes", "arrived", "speed m/s")]
+    drivers = [(agent.name, own), ("best policy that never looks", blind)]
+    for name, summary in [*drivers, *([(RULE, rule)] if rule else [])]:
+        rows.append(
+            (name, return_of(summary), crashes(summary), arrivals(summary), f"{summary.speed:.1f}")
+        )
+    seen = config.observation
+    return CARD.format(
+        name=agent.name, env=run.cell.env, id=config.env, reach=seen.perception_distance,
+        repr=run.cell.repr, algo=run.cell.algo.upper(), steps=config.steps,
+        table=markdown(rows), command=command, seed=run.cell.seed,
+        train=f"esc-train --env {run.cell.env} --repr {run.cell.repr} --seed {run.cell.seed}",
+        versions=flow(run.made_with), features=", ".join(seen.features),
+        ego_features=", ".join(seen.ego_features or ["what the scenario has"]),
+    )  # fmt: skip
+
+
+def _film(agent: Kept, folder: Path, path: Path) -> None:
+    """One episode of the kept agent."""
+    policy, _ = load_policy(folder)
+    config = TrainConfig.model_validate(agent.chosen.config)
+    frames, rate = record(config, model_policy(policy), EPISODES)
+    data = gif(together({agent.name: frames}, rate), shown(rate))
+    files.write_atomically(path, lambda file: file.write(data))

@@ -1,0 +1,105 @@
+"""The best agents of a comparison become the zoo, with a page and a card for each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from esc_agents import pretrained, zoo
+from esc_agents.cli import keep as keep_cli
+from esc_agents.compare import store
+from esc_agents.compare.analysis import load
+from esc_agents.compare.comparison import compare
+from esc_agents.driving.policies import load_policy
+from esc_agents.zoo.keeping import best_of
+from esc_agents.zoo.report import above
+from tests.esc_agents.compare.small import ENV, HereEngine, small
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    out = tmp_path_factory.mktemp("zoo") / "compared"
+    # Networks so small cannot be equally large.
+    unmatched = {"hidden": (8,), "code_dim": 200, "match_parameters": False}
+    train = {**small().train, "encoder": unmatched}
+    grid = small(repr=("esc", "attention"), tuning={"seeds": 0}, transfer={}, train=train)
+    compare(grid, out, HereEngine())
+    return out
+
+
+@pytest.fixture(autouse=True)
+def own_zoo(tmp_path, monkeypatch):
+    monkeypatch.setattr(pretrained, "folder", lambda: tmp_path / "zoo")
+
+
+def test_a_comparison_is_published(compared, call, tmp_path):
+    code, out, _ = call(keep_cli, compared, "--docs", "docs")
+    assert code == 0
+    assert ENV in out
+    (agent, *rest) = best_of(compared)
+    assert zoo.names() == sorted([ENV, *(other.name for other in rest)])
+    page = (tmp_path / "docs" / "zoo.md").read_text()
+    assert f"| {ENV} |" in page
+    assert "2 runs" in page
+    assert "3 episodes each" in page
+    assert (tmp_path / "docs" / "zoo" / f"{ENV}.gif").read_bytes()[:6] == b"GIF89a"
+    card = (tmp_path / "zoo" / ENV / "README.md").read_text()
+    assert f"Drives `{ENV}`" in card
+    # What is kept is the run that was best in training.
+    runs = {run.cell.seed: np.mean(run.curve["results"][-3:]) for run in agent.runs}
+    assert agent.chosen.cell.seed == max(runs, key=lambda seed: runs[seed])
+    kept, _ = load_policy(tmp_path / "zoo" / ENV)
+    expected, _ = load_policy(store.run_folder(compared, agent.chosen.cell))
+    for one, other in zip(kept.parameters(), expected.parameters(), strict=True):
+        assert (one == other).all()
+
+
+def test_the_rival_is_kept_only_where_it_is_better(compared, monkeypatch):
+    (task,) = load(compared)
+
+    def shifted(by):
+        results = [
+            run if run.cell.repr == "esc" else replace(run, drives={
+                "": [replace(e, reward=e.reward + by) for e in run.drives[""]]
+            })
+            for run in task.results
+        ]  # fmt: skip
+        monkeypatch.setattr(
+            "esc_agents.zoo.keeping.load", lambda out: [replace(task, results=results)]
+        )
+        return [agent.name for agent in best_of(compared)]
+
+    assert shifted(100.0) == [ENV, f"{ENV}-attention"]
+    assert shifted(-100.0) == [ENV]
+
+
+def test_above_both_is_above_all(compared):
+    (agent, *_) = best_of(compared)
+
+    def beside(blind, rule):
+        """Others with these upper ends of their intervals, ours from 1 on."""
+        own = [replace(run, drives={"": [replace(e, reward=1.0) for e in run.drives[""]]})
+               for run in agent.runs]  # fmt: skip
+        one = agent.task.baselines.rule
+        assert one
+        blinds = {"idle": replace(one, reward=0.0, reward_high=blind)}
+        rules = None if rule is None else replace(one, reward=0.0, reward_high=rule)
+        baselines = replace(agent.task.baselines, blind=blinds, rule=rules)
+        return above(replace(agent, runs=own, task=replace(agent.task, baselines=baselines)))
+
+    assert beside(0.9, 0.9)
+    assert beside(0.9, None)
+    assert not beside(1.1, 0.9)
+    assert not beside(0.9, 1.1)
+
+
+@pytest.mark.parametrize("name", [True, False])
+def test_what_is_to_be_kept_has_to_be_clear(name, compared, ppo_run, call):
+    """A comparison has no name, a run needs one."""
+    arguments = [compared, "--name", "x"] if name else [ppo_run]
+    code, _, err = call(keep_cli, *arguments)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "expected the directory of a comparison, or that of a run and --name NAME" in err
+    assert zoo.names() == []
