@@ -164,7 +164,6 @@ class SetVectorEnv(VectorEnv):
 
         seed: environment i gets seed + i; or one seed for each; None: go on drawing.
         """
-        self._check_open()
         options = dict(options or {})
         seeds = seeds_of(seed, self.num_envs)
         name, everywhere = "options['reset_mask']", np.ones(self.num_envs, bool)
@@ -183,6 +182,7 @@ class SetVectorEnv(VectorEnv):
 
     def begin(self, seeds: Sequence[int | None], mask: np.ndarray) -> dict[str, np.ndarray]:
         """``reset`` of the environments of ``mask`` without infos, for which see ``told``."""
+        self._check_open()
         if not self.engine:
             options = None if mask.all() else {"reset_mask": mask}
             observation, infos = self._envs.reset(seed=list(seeds), options=options)
@@ -201,7 +201,6 @@ class SetVectorEnv(VectorEnv):
         ResetNeeded before the first reset; then no environment has moved. Throttle and steering
         outside their space are clipped, as highway-env does.
         """
-        self._check_open()
         observation, rewards, terminated, truncated = self.advance(actions)
         return observation, rewards, terminated, truncated, self._said(np.array(actions))
 
@@ -209,6 +208,7 @@ class SetVectorEnv(VectorEnv):
         self, actions: Any
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray]:
         """``step`` without infos, for which see ``told``."""
+        self._check_open()
         if not self.engine:
             actions = actions_of(actions, self.single_action_space, self.num_envs)
             *found, infos = self._envs.step(actions)
@@ -283,7 +283,7 @@ class SetVectorEnv(VectorEnv):
         )
         if self.set_spec.on_overflow == "error":
             raise OverflowError(message)
-        warnings.warn(message, stacklevel=3)
+        warnings.warn(message, stacklevel=4)
         self._warned = True
 
     def rest(self, mask: np.ndarray) -> None:

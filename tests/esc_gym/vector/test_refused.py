@@ -106,6 +106,24 @@ def test_after_close(accelerate):
             call()
 
 
+@pytest.mark.parametrize("accelerate", [True, False])
+def test_after_close_in_sb3(accelerate):
+    envs = SetVecEnv("highway-fast-v0", 2, accelerate=accelerate)
+    envs.reset()
+    envs.close()
+    for call in (envs.reset, lambda: envs.step(np.zeros(2, int))):
+        with pytest.raises(gym.error.ClosedEnvironmentError, match="was closed"):
+            call()
+
+
+def test_who_is_told_of_vehicles_left_out():
+    """The line that called ``reset``, not one of ours."""
+    envs = batch(max_vehicles=1)
+    with pytest.warns(UserWarning, match="the 1 nearest are kept") as warned:
+        envs.reset(seed=0)
+    assert warned[0].filename == __file__
+
+
 def test_bad_limits_and_modes():
     with pytest.raises(ValueError, match="max_episode_steps: expected a whole number"):
         batch(max_episode_steps=0)
