@@ -7,11 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from esc_agents.compare.analysis import Task, duels, overall_duels, row, transfer
 from esc_agents.driving.rule_driver import RULE
 from esc_agents.reporting import plots
 from esc_agents.reporting.statistics import Estimate
+
+WIDTH = 5.6  # inches: at 390 pixels, letters of 10 points are 10 pixels high
 
 
 def curves(tasks: Sequence[Task]) -> Figure:
@@ -19,7 +22,7 @@ def curves(tasks: Sequence[Task]) -> Figure:
 
     The baselines are not drawn: they drove other, and more, episodes.
     """
-    figure, panels = _panels(len(tasks), 4.2, 3.4)
+    figure, panels = _panels(len(tasks), 2.4)
     for axes, task in zip(panels, tasks, strict=True):
         for repr in task.reprs:
             runs = task.runs(repr)
@@ -29,16 +32,17 @@ def curves(tasks: Sequence[Task]) -> Figure:
             plots.band(axes, list(steps), returns, plots.color(repr), repr)
         axes.set_title(task.name, fontsize=10)
         axes.set_xlabel("training steps")
+        axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:,.0f}k")
         plots.tidy(axes)
-    panels[0].set_ylabel("return")
+    figure.supylabel("return", fontsize=10)
     plots.legend(figure, panels)
     return figure
 
 
 def bars(tasks: Sequence[Task]) -> Figure:
     """Return of the final policies: bars are means with 95 % intervals, dots are runs."""
-    figure, panels = _panels(len(tasks), 3.2, 3.4)
+    figure, panels = _panels(len(tasks), 2.6)
     for axes, task in zip(panels, tasks, strict=True):
         for place, repr in enumerate(task.reprs):
             mean = row(task, repr).mean
@@ -47,10 +51,10 @@ def bars(tasks: Sequence[Task]) -> Figure:
             scores = task.scores(repr)
             axes.plot([place] * len(scores), scores, "o", markersize=3, color="0.15", alpha=0.6)
         _limits(axes, task)
-        axes.set_xticks(range(len(task.reprs)), task.reprs, fontsize=9)
+        axes.set_xticks(range(len(task.reprs)), task.reprs, fontsize=9, rotation=35, ha="right")
         axes.set_title(task.name, fontsize=10)
         plots.tidy(axes)
-    panels[0].set_ylabel("return")
+    figure.supylabel("return", fontsize=10)
     plots.legend(figure, panels)
     return figure
 
@@ -64,7 +68,7 @@ def improvement(tasks: Sequence[Task]) -> Figure:
         for rival, better in overall_duels(tasks).items():
             count = sum(rival in task.rivals for task in tasks)
             lines.append((f"mean of {count}", rival, better))
-    figure = Figure(figsize=(7, 0.28 * len(lines) + 1), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 0.28 * len(lines) + 1), layout="constrained")
     axes: Axes = figure.subplots()
     for place, (_, rival, better) in enumerate(lines):
         hue, ends = plots.color(rival), [better.low, better.high]
@@ -85,7 +89,7 @@ def transfers(task: Task, reprs: Sequence[str]) -> Figure:
     tables = {repr: transfer(task, repr) for repr in reprs}
     values = [v for table in tables.values() for line in table.values() for v in line.values()]
     names = list(next(iter(tables.values()))["as it is"])
-    figure, panels = _panels(len(reprs), 1.0 + 0.85 * len(names), 0.9 + 0.75 * len(names))
+    figure, panels = _panels(len(reprs), 0.9 + 0.55 * len(names))
     for axes, (repr, table) in zip(panels, tables.items(), strict=True):
         grid = np.array([[line.get(name, np.nan) for name in names] for line in table.values()])
         axes.imshow(grid, cmap="viridis", vmin=min(values), vmax=max(values), aspect="auto")
@@ -97,7 +101,7 @@ def transfers(task: Task, reprs: Sequence[str]) -> Figure:
         axes.set_yticks(range(len(table)), list(table), fontsize=8)
         axes.set_title(repr, fontsize=10)
         axes.set_xlabel("driven in", fontsize=9)
-    panels[0].set_ylabel("trained in", fontsize=9)
+    figure.supylabel("trained in", fontsize=9)
     return figure
 
 
@@ -116,10 +120,11 @@ def _interval(axes: Axes, x: float, estimate: Estimate) -> None:
     axes.plot([x, x], [estimate.low, estimate.high], color="0.1", linewidth=1.5)
 
 
-def _panels(count: int, width: float, height: float) -> tuple[Figure, Sequence[Axes]]:
-    across = min(count, 4)
+def _panels(count: int, height: float) -> tuple[Figure, Sequence[Axes]]:
+    """Panels of ``height`` inches, two beside each other: on a telephone they can still be read."""
+    across = min(count, 2)
     down = -(-count // across)
-    figure = Figure(figsize=(width * across + 0.6, height * down + 0.4), layout="constrained")
+    figure = Figure(figsize=(WIDTH, height * down + 0.4), layout="constrained")
     panels = figure.subplots(down, across, squeeze=False).ravel()
     for spare in panels[count:]:
         spare.set_visible(False)

@@ -46,6 +46,6 @@ def legend(figure: Figure, panels: Iterable[Axes]) -> None:
         for mark, label in zip(*axes.get_legend_handles_labels(), strict=True):
             found.setdefault(label, mark)
     figure.legend(
-        list(found.values()), list(found), loc="outside lower center", ncols=len(found),
+        list(found.values()), list(found), loc="outside lower center", ncols=len(found) if len(found) <= 4 else 3,
         frameon=False,
     )  # fmt: skip
