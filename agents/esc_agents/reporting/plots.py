@@ -45,7 +45,7 @@ def legend(figure: Figure, panels: Iterable[Axes]) -> None:
     for axes in panels:
         for mark, label in zip(*axes.get_legend_handles_labels(), strict=True):
             found.setdefault(label, mark)
+    across = len(found) if len(found) <= 4 else 3
     figure.legend(
-        list(found.values()), list(found), loc="outside lower center", ncols=len(found) if len(found) <= 4 else 3,
-        frameon=False,
-    )  # fmt: skip
+        list(found.values()), list(found), loc="outside lower center", ncols=across, frameon=False
+    )
