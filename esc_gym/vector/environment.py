@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-import pickle
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy as shallow_copy
 from functools import cached_property, partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import batch_space
 
 from esc_gym import fastsim
-from esc_gym.fastsim.records import VEHICLE
 from esc_gym.registration import make
 from esc_gym.vector.arguments import (
     actions_of,
     at_least_one,
-    index_of,
-    indices_of,
     mask_of,
     mode_of,
     seeds_of,
 )
 from esc_gym.vector.engine import Engine
 from esc_gym.vector.families import Report, family_of
+from esc_gym.vector.in_hand import StateInHand
 from esc_gym.vector.infos import (
     Infos,
     add_final,
@@ -38,13 +34,13 @@ from esc_gym.vector.infos import (
     told,
     with_ids,
 )
-from esc_gym.vector.kernel import NOTHING, TERMINATED, TRUNCATED
+from esc_gym.vector.kernel import TERMINATED, TRUNCATED
 from esc_gym.vector.measures import Measured
-from esc_gym.vector.objects import materialise, measured, reset_quietly
-from esc_gym.vector.state import ENDED, HEAD, RESTING, UNBORN, packed, unpack
+from esc_gym.vector.objects import measured, reset_quietly
+from esc_gym.vector.state import ENDED, RESTING
 
 
-class SetVectorEnv(VectorEnv):
+class SetVectorEnv(StateInHand):
     """``num_envs`` environments of one id, observed as sets; what ``gym.make_vec`` makes of ours.
 
     Environment i, reset with seed s, gives to the last bit what ``gym.make`` of the same id with
@@ -286,103 +282,17 @@ class SetVectorEnv(VectorEnv):
         warnings.warn(message, stacklevel=4)
         self._warned = True
 
-    def rest(self, mask: np.ndarray) -> None:
-        """Leave alone, from now on, the environments of ``mask`` (bool [num_envs]).
-
-        Until they are reset, a step gives their last observation again, reward 0 and no end.
-        Raises ValueError where the engine does not simulate this (``report()``).
-        """
-        self._begun().state.heads["over"][mask_of(mask, self.num_envs, "mask")] = RESTING
-
     def measure(self, collisions: bool = False) -> Measured:
         """How the cars are driving now; with ``collisions`` their times to collision, too [s]."""
         if self.engine:
             return self._begun().measure(collisions)
         return measured(self._envs.envs, self._roads, collisions)
 
-    def snapshot(self) -> bytes:
-        """Everything that the future of all environments depends on, and what was returned last.
-
-        Raises ValueError where the engine does not simulate this (``report()``).
-        """
-        return packed(self._begun().arrays(), self._identity())
-
-    def restore(self, snapshot: bytes) -> tuple[dict[str, np.ndarray], Infos]:
-        """Go on where ``snapshot`` was taken; observations and infos are those of that time.
-
-        Raises ValueError, and changes nothing, for a snapshot that is damaged, of another version,
-        or of other environments.
-        """
-        engine = self._known()
-        unpack(snapshot, engine.arrays(), self._identity())
-        engine.watching = NOTHING
-        return self._observation(engine.now), infos_of(engine, engine.now, engine.everywhere)
-
-    def fork(self, indices: Sequence[int]) -> SetVectorEnv:
-        """A new batch of copies of some environments, as many times as asked for.
-
-        What they were last told is theirs, too; the copies go on as the originals would.
-        Raises ValueError where the engine does not simulate this (``report()``).
-        """
-        chosen = indices_of(indices, self.num_envs)
-        other = shallow_copy(self)
-        other.__dict__.pop("observation_space", None)
-        other.__dict__.pop("action_space", None)
-        other.num_envs, other.engine = len(chosen), self._begun().fork(chosen)
-        return other
-
-    def _known(self) -> Engine:
-        if self.engine is None:
-            raise ValueError(
-                "snapshot, restore and fork are the batch engine's, which does not simulate this: "
-                f"{self._reason}"
-            )
-        return self.engine
-
-    def _begun(self) -> Engine:
-        """The engine, once all its environments have been reset."""
-        engine = self._known()
-        if not engine.born:
-            unborn = engine.state.heads["over"] == UNBORN
-            if unborn.any():
-                raise gym.error.ResetNeeded(
-                    f"environment {int(np.argmax(unborn))} was never reset: call reset() first"
-                )
-            engine.born = True
-        return engine
-
-    def _check_open(self) -> None:
-        if self.closed:
-            raise gym.error.ClosedEnvironmentError("this batch was closed; make another")
-
-    def _identity(self) -> str:
-        return repr((
-            self._task, self.num_envs, self.set_spec, self.set_spec.limits, self.autoreset_mode,
-            self._limit, VEHICLE, HEAD,
-        ))  # fmt: skip
-
     @property
     def compute_reward(self) -> Any:
         """Parking's reward of goals [num_envs, 6]; AttributeError without ``goal=True``."""
         env = self.engine.env if self.engine else self._envs.envs[0]
         return env.get_wrapper_attr("compute_reward")
-
-    def materialise(self, index: int) -> gym.Env:
-        """A ``gym.make`` environment in exactly the state of environment ``index``.
-
-        For rendering, debugging and films; stepping it changes nothing here. What a LinearVehicle
-        has collected to fit its parameters to, which no step reads, it does not have. Of an episode
-        that has ended it is the end: a reset that the next step of the batch would make is yours.
-        """
-        if not self.engine:
-            return pickle.loads(pickle.dumps(self._envs.envs[index_of(index, self.num_envs)]))
-        state: Any = self._begun().state
-        env = self._make_one("rgb_array")
-        reset_quietly(env)
-        materialise(env, state, index_of(index, self.num_envs))
-        if self._limit:
-            env._elapsed_steps = int(state.heads["elapsed"][index])  # type: ignore[attr-defined]
-        return env
 
     def render(self) -> tuple[Any, ...] | None:
         """A frame of every environment."""
