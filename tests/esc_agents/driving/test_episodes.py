@@ -1,12 +1,17 @@
+import json
+
 import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from esc_agents.config import config_for_env
 from esc_agents.driving.baselines import blind_policies
-from esc_agents.driving.environments import factories
-from esc_agents.driving.episodes import Episode, Summary, as_rows, evaluate
+from esc_agents.driving.environments import factories, make_env
+from esc_agents.driving.episodes import Episode, Summary, as_rows, evaluate, summaries, table
+from esc_agents.driving.vectorised import closing, vectorise
 from esc_agents.driving.wrappers import DrivingMonitor
+from esc_agents.files import finite
 from tests.esc_agents.tiny import ROAD, tiny
 
 SEEDS = [11, 4, 7, 5, 8]
@@ -88,6 +93,38 @@ def test_summary():
     assert summary.min_ttc == 4.0
     row = as_rows({"esc": summary})[0]
     assert (row["policy"], row["episodes"], row["speed"]) == ("esc", 3, 20.0)
+
+
+@pytest.mark.parametrize("vec", ["dummy", "batch"])
+def test_who_arrives(vec):
+    """At the intersection, where highway-env says so; elsewhere there is no such thing."""
+    config = config_for_env("intersection-v0").model_copy(update={"n_envs": 2, "vec": vec})
+    with closing(vectorise(config, 2, evaluation=True)) as envs:
+        episodes = evaluate(envs, always(2, 2), SEEDS)  # FASTER
+    for episode in episodes:
+        env = make_env(config)
+        env.reset(seed=episode.seed)
+        over = False
+        while not over:
+            *_, terminated, truncated, _ = env.step(2)
+            over = terminated or truncated
+        base = env.unwrapped
+        assert episode.arrived == base.has_arrived(base.vehicle)
+    assert not all(episode.arrived for episode in episodes)
+    assert any(episode.arrived for episode in episodes)
+    header, row = table({"esc": Summary.of(episodes)})
+    share = np.mean([episode.arrived for episode in episodes])
+    assert dict(zip(header, row, strict=True))["arrived"] == f"{share:.0%}"
+    (nowhere,) = drive(1, always(IDLE, 1))[:1]
+    assert nowhere.arrived is None
+    assert "arrived" not in table({"idle": Summary.of([nowhere])})[0]
+
+
+def test_summaries_survive_json():
+    one = Summary.of([Episode(0, 1.0, 10, False, 20.0, 200.0, 0.0, 1, 5.0, float("inf"))])
+    two = Summary.of([Episode(0, 1.0, 10, False, 20.0, 200.0, 0.0, 1, 5.0, 1.0, True)])
+    rows = json.loads(json.dumps(finite(as_rows({"one": one, "two": two}))))
+    assert summaries(rows) == {"one": one, "two": two}
 
 
 def test_blind_policies_of_discrete_actions():
