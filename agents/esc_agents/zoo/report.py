@@ -30,7 +30,7 @@ Agents that come with the package. Each row: the final policies of {seeds} runs 
 recipe, {episodes} episodes each from seed {first:,} on, which no training saw; brackets hold 95 %
 intervals over all of these episodes. The agent that is kept is the run which was best at its own
 evaluations in training. "Above both": the interval of the return lies above those of every policy
-that never looks, and of IDM/MOBIL, on the same episodes. Minutes: of one run, with {workers}.
+that never looks, and of IDM/MOBIL, on the same episodes. Minutes: of one run, measured.
 
     esc-eval --pretrained NAME
     esc-train --env SCENARIO --start-from zoo:NAME
@@ -67,7 +67,7 @@ def publish(comparison: Path, docs: Path) -> list[Kept]:
 
 
 def command_of(comparison: Path) -> str:
-    """What made the comparison: the last line of its command.txt that trained something."""
+    """The command that began the comparison, as far as it is known."""
     lines = (comparison / "command.txt").read_text(encoding="utf-8").splitlines()
     commands = [line for line in lines if line.startswith("esc-compare")]
     return commands[0] if commands else "esc-compare"
@@ -76,10 +76,7 @@ def command_of(comparison: Path) -> str:
 def page(agents: Sequence[Kept], command: str) -> str:
     """docs/zoo.md."""
     first = agents[0]
-    text = TEXT.format(
-        seeds=len(first.runs), episodes=len(first.chosen.drives[""]), first=EPISODES,
-        workers="as many at a time as processors",
-    )  # fmt: skip
+    text = TEXT.format(seeds=len(first.runs), episodes=len(first.chosen.drives[""]), first=EPISODES)
     versions = sorted({flow(run.made_with) for agent in agents for run in agent.runs})
     table = markdown([COLUMNS, *map(row, agents)])
     films = [f"### {a.name}\n\n![{a.name}, one episode](zoo/{a.name}.gif)" for a in agents]
