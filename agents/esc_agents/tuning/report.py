@@ -53,9 +53,9 @@ def _blocks(
     steps = train_config(config, {}, 0).steps
     pruned, failed = sum(t.pruned for t in tried), sum(bool(t.problem) for t in tried)
     yield Text(
-        f"{len(tried)} trials of {steps:,} steps, one run each, of which {pruned} were ended early "
-        f"and {failed} could not be run; chosen {config.round} at a time by Optuna's TPE of the "
-        f"trials before. Returns are means of the last {JUDGED} evaluations on episodes that no "
+        f"{len(tried)} trials of {steps:,} steps, one run each; ended early: {pruned}, "
+        f"not possible to run: {failed}. They were chosen {config.round} at a time by Optuna's TPE, "
+        f"of the trials before. Returns are means of the last {JUDGED} evaluations on episodes that no "
         "study uses. Trial 0 is the scenario as it is shipped."
     )
     if finals:

@@ -23,11 +23,17 @@ from esc_agents.tuning.settings import Parameters, TuneConfig, scenario, train_c
 def distributions(config: TuneConfig) -> dict[str, BaseDistribution]:
     """The space, as Optuna has it. Raises UserError where it is none."""
     if not config.space:
-        raise UserError("space: expected at least one key, such as {ppo.gamma: {choices: [0.9]}}")
+        raise UserError(
+            "space: expected at least one key, such as {ppo.gamma: {choices: [0.9, 0.95]}}, or a "
+            "shipped search, --config ppo or --config sac"
+        )
     found = {key: _distribution(key, said) for key, said in config.space.items()}
     for key, said in config.space.items():
         for value in said.get("choices", [said.get("low")]):
-            train_config(config, {key: value}, 0)  # does a run have this key?
+            try:
+                train_config(config, {key: value}, 0)  # does a run have this key?
+            except UserError as error:
+                raise UserError(f"space: {str(error).removeprefix('train: ')}") from error
     return found
 
 
