@@ -54,9 +54,9 @@ def _blocks(
     pruned, failed = sum(t.pruned for t in tried), sum(bool(t.problem) for t in tried)
     yield Text(
         f"{len(tried)} trials of {steps:,} steps, one run each; ended early: {pruned}, "
-        f"not possible to run: {failed}. They were chosen {config.round} at a time by Optuna's TPE, "
-        f"of the trials before. Returns are means of the last {JUDGED} evaluations on episodes that no "
-        "study uses. Trial 0 is the scenario as it is shipped."
+        f"not possible to run: {failed}. They were chosen {config.round} at a time by Optuna's "
+        f"TPE, of the trials before. Returns are means of the last {JUDGED} evaluations, on "
+        "episodes that no study uses. Trial 0 is the scenario as it is shipped."
     )
     if finals:
         full = train_config(config, {}, 0, full=True).steps
