@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, PositiveInt
 from tyro import conf
 
 from esc_agents.cli import guarded, parse
+from esc_agents.errors import UserError
 
 PROGRAM = "drill"
 
@@ -39,8 +40,10 @@ def main() -> None:
 def command(args: list[str]) -> int:
     """0: every row ended as it has to."""
     arguments = parse(PROGRAM, DrillArguments, args)
-    from esc_agents.proof.drill import go_through
+    from esc_agents.proof.drill import ROWS, go_through
 
+    if unknown := sorted(set(arguments.only) - ROWS.keys()):
+        raise UserError(f"--only: expected rows among {', '.join(ROWS)}; got {unknown[0]!r}")
     return 1 if go_through(**dict(arguments)) else 0
 
 

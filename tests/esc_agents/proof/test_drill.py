@@ -3,6 +3,7 @@
 import pytest
 
 from esc_agents.cli.drill import command
+from esc_agents.errors import UserError
 
 SHORT = ["--kills", "2", "--ppo-steps", "4000", "--sac-steps", "1200", "--only"]
 
@@ -14,6 +15,11 @@ def test_row(row, capsys):
     printed = capsys.readouterr().out
     assert printed.startswith(f"{row}: ")
     assert printed.endswith("Every row ended as it has to.\n")
+
+
+def test_a_row_that_there_is_not():
+    with pytest.raises(UserError, match="--only: expected rows among SIGKILL, PPO.* got 'SIGTREM'"):
+        command(["--only", "SIGTREM"])
 
 
 def test_a_row_that_fails_is_said(monkeypatch, capsys):
