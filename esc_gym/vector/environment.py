@@ -265,6 +265,10 @@ class SetVectorEnv(StateInHand):
         parts = outputs.seen.parts()
         return {name: part.copy() for name, part in parts.items()} if self.copy else parts
 
+    def _check_open(self) -> None:
+        if self.closed:
+            raise gym.error.ClosedEnvironmentError("this batch was closed; make another")
+
     def _note_overflow(self) -> None:
         """Say that vehicles were left out, as ``SetObservation`` does."""
         counts = self.engine.now.seen.counts

@@ -92,10 +92,6 @@ class StateInHand(VectorEnv):
             engine.born = True
         return engine
 
-    def _check_open(self) -> None:
-        if self.closed:
-            raise gym.error.ClosedEnvironmentError("this batch was closed; make another")
-
     def _identity(self) -> str:
         return repr((
             self._task, self.num_envs, self.set_spec, self.set_spec.limits, self.autoreset_mode,

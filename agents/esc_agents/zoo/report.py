@@ -10,7 +10,7 @@ from esc_agents.compare import store
 from esc_agents.compare.films import shown, together
 from esc_agents.compare.grid import EPISODES
 from esc_agents.config import TrainConfig, flow
-from esc_agents.driving.baselines import best_blind
+from esc_agents.driving.baselines import best_blind, is_above
 from esc_agents.driving.episodes import Summary, model_policy, return_of
 from esc_agents.driving.films import gif, record
 from esc_agents.driving.policies import load_policy
@@ -104,9 +104,10 @@ def rivals(agent: Kept) -> tuple[Summary, Summary | None]:
 
 def above(agent: Kept) -> bool:
     """Whether the return is clearly above those of both."""
-    rule = agent.task.baselines.rule
-    others = [*agent.task.baselines.blind.values(), *([rule] if rule else [])]
-    return agent.summary.reward_low > max(summary.reward_high for summary in others)
+    baselines = agent.task.baselines
+    return is_above(
+        agent.summary, baselines.blind | ({RULE: baselines.rule} if baselines.rule else {})
+    )
 
 
 def steps(agent: Kept) -> int:
