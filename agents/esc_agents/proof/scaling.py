@@ -22,6 +22,7 @@ from esc_gym.registration import NAMESPACE
 
 ENVIRONMENTS, THREADS = 64, 2
 STEPS = 8  # of all environments, between two looks at the clock
+VISITS = 2  # to each id, all others between them: what else a machine does comes in bursts
 COLUMNS = (
     "environment", "stock steps/s", f"{ENVIRONMENTS} one by one steps/s", "batch steps/s",
     "beside one by one", "beside stock",
@@ -32,7 +33,8 @@ TEXT = f"""## Batches
 Environment steps per second with random actions, resets included: one stock environment,
 `gym.make(id)`; {ENVIRONMENTS} accelerated ones, `gym.make("esc_gym/" + id)`, in SB3's
 `DummyVecEnv`; and `esc_gym.SetVecEnv(id, {ENVIRONMENTS}, threads={THREADS})`. Each id has a process
-of its own, in which they take turns; of several rounds the fastest of each counts.
+of its own, in which they take turns, and is visited {VISITS} times, minutes apart; of all rounds the
+fastest of each counts.
 """
 GROWTH_TEXT = """![What a step costs with more environments and with more vehicles]({name})
 
@@ -50,6 +52,13 @@ class BatchSpeed:
     stock: float
     single: float
     batch: float
+
+    def fastest(self, other: BatchSpeed) -> BatchSpeed:
+        """Each side as fast as it was in either of two visits."""
+        return BatchSpeed(
+            self.id, min(self.stock, other.stock), min(self.single, other.single),
+            min(self.batch, other.batch),
+        )  # fmt: skip
 
     def cells(self) -> list[str]:
         """The row of the table."""
@@ -160,12 +169,13 @@ def draw(growth: Growth, path: Path) -> None:
 
 def rows(ids: Sequence[str], seconds: float, say: Callable[[str], None]) -> list[Sequence[str]]:
     """The table of batches."""
-    speeds = []
-    for number, id in enumerate(ids, 1):
-        speeds.append(in_own_process(measure_batch, id, seconds).cells())
-        _, stock, single, batch, times, over_stock = speeds[-1]
+    speeds: dict[str, BatchSpeed] = {}
+    for number, id in enumerate([*ids] * VISITS, 1):
+        speed = in_own_process(measure_batch, id, seconds)
+        speeds[id] = speed.fastest(speeds.get(id, speed))
+        _, stock, single, batch, times, over_stock = speeds[id].cells()
         say(
-            f"[{number}/{len(ids)}] {id}: {stock}, {single} -> {batch} steps/s, {times} and "
-            f"{over_stock}"
+            f"[{number}/{VISITS * len(ids)}] {id}: {stock}, {single} -> {batch} steps/s, {times} "
+            f"and {over_stock}"
         )
-    return [COLUMNS, *speeds]
+    return [COLUMNS, *(speed.cells() for speed in speeds.values())]

@@ -16,7 +16,8 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from esc_agents import files
 from esc_agents.config import TrainConfig
-from esc_agents.driving.episodes import Episode, check_faults, evaluate, model_policy
+from esc_agents.driving.episodes import Episode, Summary, check_faults, evaluate, model_policy
+from esc_agents.driving.rule_driver import RULE
 from esc_agents.errors import UserError
 from esc_agents.training import checkpoint
 from esc_agents.training.run_directory import STEP, MetricsFile, read_evaluations
@@ -89,13 +90,17 @@ class EntropySchedule(BaseCallback):
 
 
 class FixedSeedEvaluation(BaseCallback):
-    """Every ``every`` steps: the same episodes, appended to evaluations.npz; the best model."""
+    """Every ``every`` steps: the same episodes, appended to evaluations.npz; the best model.
+
+    rule: how IDM/MOBIL drives these episodes, where it can: a line says when training is above it.
+    """
 
     def __init__(self, envs: VecEnv, seeds: Sequence[int], every: int, run: Path) -> None:
         super().__init__()
         self.envs, self.seeds, self.every, self.run = envs, seeds, every, run
         self.path = run / "evaluations.npz"
         self.history: dict[str, list] = {}
+        self.rule: Summary | None = None
         self.stopped: Callable[[], bool] = lambda: False
         self.save_best: Callable[[], object] = lambda: None
 
@@ -136,9 +141,12 @@ class FixedSeedEvaluation(BaseCallback):
             files.write_atomically(self.run / "best_model.zip", self.model.save)
             self.save_best()
         crashes = sum(row["crashed"])
+        above = ""
+        if self.rule and np.mean(rewards) > self.rule.reward:
+            above = f"; above {RULE}'s {self.rule.reward:.2f}"
         print(
             f"step {self.num_timesteps:,}: return {np.mean(rewards):.2f}, "
-            f"{crashes} of {len(rewards)} evaluation episodes crashed",
+            f"{crashes} of {len(rewards)} evaluation episodes crashed{above}",
             flush=True,
         )
 

@@ -23,7 +23,6 @@ from esc_agents.driving.baselines import action_names, blind_policies, rule_driv
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import wrapper_json
 from esc_agents.driving.episodes import (
-    Episode,
     Summary,
     as_rows,
     evaluate,
@@ -179,10 +178,11 @@ class Training:
         """Train, evaluate, write and print. found: of ``checkpoint.restore``, None at the start."""
         config, directory, model = self.config, self.directory, self.model
         with StopOnSignal() as stop:
-            self._learn(found, stop)
+            rule = self._rule_driver(stop)
+            self._learn(found, stop, rule)
             files.write_atomically(directory / "model.zip", model.save)
             self.save_policy("policy")
-            results = self._results(stop)
+            results = self._results(stop, rule)
         if stop.interrupted:
             say(f"Stopped after {model.num_timesteps:,} steps; the model is saved.")
             say(f"Continue with: esc-train --resume {directory}")
@@ -195,7 +195,9 @@ class Training:
         say(f"Run directory: {directory}")
         return True
 
-    def _learn(self, found: dict[str, Any] | None, stop: StopOnSignal) -> None:
+    def _learn(
+        self, found: dict[str, Any] | None, stop: StopOnSignal, rule: Summary | None
+    ) -> None:
         config, model, directory = self.config, self.model, self.directory
         begun = model.num_timesteps
         tensorboard = TensorBoardOutputFormat(str(directory / "tensorboard"))
@@ -206,6 +208,7 @@ class Training:
         every = config.evaluation.every or max(1000, config.steps // 5)
         evaluation = FixedSeedEvaluation(self.judges, seeds(config), every, directory)
         evaluation.stopped = lambda: stop.interrupted
+        evaluation.rule = rule
         evaluation.save_best = partial(self.save_policy, "best_policy")
         folder = directory / "checkpoints"
         saved = Checkpoints(folder, config.checkpoint_every, lambda: stop.interrupted, say)
@@ -234,7 +237,7 @@ class Training:
             model.logger.close()
         checkpoint.thin_out(folder)  # for a session that was killed before it had done so
 
-    def _results(self, stop: StopOnSignal) -> dict[str, Summary]:
+    def _results(self, stop: StopOnSignal, rule: Summary | None) -> dict[str, Summary]:
         """The trained policy, the blind ones and IDM/MOBIL on the same episodes."""
         config, judges = self.config, self.judges
         names = action_names(self.probe)
@@ -250,14 +253,15 @@ class Training:
             episodes = evaluate(judges, policy, seeds(config), lambda: stop.interrupted)
             if episodes:
                 results[name] = Summary.of(episodes)
-        if not stop.interrupted and (rule := self._rule_driver(stop)):
-            results[RULE] = Summary.of(rule)
+        if rule:
+            results[RULE] = rule
         return results
 
-    def _rule_driver(self, stop: StopOnSignal) -> list[Episode]:
-        """Episodes of IDM/MOBIL; none, and a line that says why, where it cannot drive."""
+    def _rule_driver(self, stop: StopOnSignal) -> Summary | None:
+        """How IDM/MOBIL drives; None, and a line that says why, where it cannot."""
         try:
-            return rule_driver(self.config, seeds(self.config), lambda: stop.interrupted)
+            drives = rule_driver(self.config, seeds(self.config), lambda: stop.interrupted)
         except Exception as error:  # nothing that it meets may cost the run its results
             say(f"{RULE} is missing: {reason(error)}")
-            return []
+            return None
+        return Summary.of(drives) if drives else None

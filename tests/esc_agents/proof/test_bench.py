@@ -12,7 +12,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from esc_agents.cli import bench as cli
 from esc_agents.errors import UserError
-from esc_agents.proof import bench, end_to_end, timing
+from esc_agents.proof import bench, end_to_end, scaling, timing
 from esc_agents.proof.bench import (
     GENERATOR,
     MARKERS,
@@ -224,3 +224,18 @@ def test_user_errors(arguments, message, monkeypatch, capsys, tmp_path):
     assert error.startswith("esc-bench: ")
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_of_several_visits_the_fastest_of_each_side_counts(monkeypatch):
+    """An id's process may be slowed down in one of them, by whatever else the machine does."""
+    visits = iter([(4.0, 1.0, 0.25), (8.0, 2.0, 0.5), (2.0, 3.0, 0.125), (16.0, 1.0, 0.5)])
+    monkeypatch.setattr(
+        scaling, "in_own_process", lambda _, id, seconds: scaling.BatchSpeed(id, *next(visits))
+    )
+    said = []
+    _, one, two = scaling.rows(["one", "two"], 1.0, said.append)
+    assert one == ["one", "0.5", "1", "8", "8.0x", "16x"]
+    assert two == ["two", "0.125", "1", "2", "2.0x", "16x"]
+    assert [line.split(":")[0] for line in said] == [
+        "[1/4] one", "[2/4] two", "[3/4] one", "[4/4] two",
+    ]  # fmt: skip

@@ -16,6 +16,7 @@ import esc_gym  # noqa: F401  (registers the ids)
 from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import make_env
+from esc_agents.driving.episodes import Episode
 from esc_agents.driving.policies import load_policy
 from esc_agents.driving.rule_driver import RuleDriver
 from esc_agents.driving.vectorised import vectorise
@@ -184,6 +185,18 @@ def test_a_rule_driver_that_cannot_drive_costs_its_row_only(tmp_path, monkeypatc
     assert why in capsys.readouterr().out.splitlines()
     rows = json.loads((tmp_path / "run" / "results.json").read_text())
     assert [row["policy"] for row in rows][-1] == "random"
+
+
+@pytest.mark.parametrize(("reward", "above"), [(-1000.0, True), (1000.0, False)])
+def test_a_line_says_when_training_is_above_the_rule_driver(
+    reward, above, tmp_path, monkeypatch, capsys
+):
+    drives = [Episode(0, reward, 1, False, 0.0, 0.0, 0.0, 0, 0.0, 1.0)] * 2
+    monkeypatch.setattr("esc_agents.training.train.rule_driver", lambda *arguments: drives)
+    assert train(tiny(run_dir=tmp_path / "run"))
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("step ")]
+    assert lines
+    assert all(line.endswith("; above IDM/MOBIL's -1000.00") == above for line in lines)
 
 
 def test_training_learns_something_and_repeats_itself(ppo_run, tmp_path):
