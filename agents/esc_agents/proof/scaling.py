@@ -33,8 +33,8 @@ TEXT = f"""## Batches
 Environment steps per second with random actions, resets included: one stock environment,
 `gym.make(id)`; {ENVIRONMENTS} accelerated ones, `gym.make("esc_gym/" + id)`, in SB3's
 `DummyVecEnv`; and `esc_gym.SetVecEnv(id, {ENVIRONMENTS}, threads={THREADS})`. Each id has a process
-of its own, in which they take turns, and is visited {VISITS} times, minutes apart; of all rounds the
-fastest of each counts.
+of its own, in which they take turns, and is visited {VISITS} times, minutes apart; of all rounds
+the fastest of each counts.
 """
 GROWTH_TEXT = """![What a step costs with more environments and with more vehicles]({name})
 
