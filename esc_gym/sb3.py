@@ -12,6 +12,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from esc_gym.registration import NAMESPACE
+from esc_gym.vector.arguments import index_of
 from esc_gym.vector.environment import SetVectorEnv
 from esc_gym.vector.measures import Measured, count_step
 
@@ -137,11 +138,17 @@ class SetVecEnv(VecEnv):
 
     def reset(self) -> dict[str, np.ndarray]:  # type: ignore[override]
         """Reset all environments, with the seeds of ``seed()`` if it was called."""
-        if any(self._options):
-            raise ValueError("options: another configuration is for SetVecEnv(..., config=...).")
         seeds = self._seeds
         self._reset_seeds()
         return _copied(self._begin(np.ones(self.num_envs, bool), seeds))
+
+    def set_options(self, options: Any = None) -> None:
+        """There are none; raises ValueError for any."""
+        if options:
+            raise ValueError("options: another configuration is for SetVecEnv(..., config=...).")
+
+    def _get_indices(self, indices: Any) -> list[int]:
+        return [index_of(index, self.num_envs) for index in super()._get_indices(indices)]
 
     def _begin(self, chosen: np.ndarray, seeds: Sequence[int | None]) -> dict[str, np.ndarray]:
         """Begin new episodes where ``chosen`` says so; the observations of all environments."""
@@ -206,7 +213,7 @@ class SetVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Of the batch if it has it, else of copies of the environments."""
-        chosen = list(self._get_indices(indices))
+        chosen = self._get_indices(indices)
         if hasattr(self.envs, attr_name):
             return [getattr(self.envs, attr_name)] * len(chosen)
         return [self.envs.materialise(e).get_wrapper_attr(attr_name) for e in chosen]

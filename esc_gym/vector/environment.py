@@ -63,7 +63,7 @@ class SetVectorEnv(StateInHand):
     ``info`` has, each with its mask ``_name``: ``speed``, ``crashed``, ``action``, ``rewards`` (a
     dictionary by name) and ``set`` (``count``, ``overflow``, and ``ids`` [num_envs, N], -1 past the
     real rows); after a step of lane-keeping only ``set``, as in highway-env. The action that
-    highway-env draws at a reset to fill its info is left out.
+    highway-env draws at a reset to fill its info is left out, with what it would have earned.
 
     Raises ValueError for bad arguments and actions.
 
@@ -145,7 +145,7 @@ class SetVectorEnv(StateInHand):
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """The seeds with which the environments began; -1 where it is not known."""
+        """The seeds with which the environments began; -1 where not known, or 2**63 and more."""
         if not self.engine:
             return self._envs.np_random_seed
         return tuple(self.engine.state.heads["seed"].tolist())
@@ -265,10 +265,6 @@ class SetVectorEnv(StateInHand):
         parts = outputs.seen.parts()
         return {name: part.copy() for name, part in parts.items()} if self.copy else parts
 
-    def _check_open(self) -> None:
-        if self.closed:
-            raise gym.error.ClosedEnvironmentError("this batch was closed; make another")
-
     def _note_overflow(self) -> None:
         """Say that vehicles were left out, as ``SetObservation`` does."""
         counts = self.engine.now.seen.counts
@@ -288,6 +284,7 @@ class SetVectorEnv(StateInHand):
 
     def measure(self, collisions: bool = False) -> Measured:
         """How the cars are driving now; with ``collisions`` their times to collision, too [s]."""
+        self._check_open()
         if self.engine:
             return self._begun().measure(collisions)
         return measured(self._envs.envs, self._roads, collisions)

@@ -57,7 +57,9 @@ class StateInHand(VectorEnv):
         engine = self._known()
         unpack(snapshot, engine.arrays(), self._identity())
         engine.watching = NOTHING
-        return self._observation(engine.now), infos_of(engine, engine.now, engine.everywhere)
+        begun = engine.state.heads["elapsed"] == 0
+        infos = infos_of(engine, engine.now, engine.everywhere, begun)
+        return self._observation(engine.now), infos
 
     def fork(self, indices: Sequence[int]) -> Self:
         """A new batch of copies of some environments, as many times as asked for.
@@ -72,7 +74,12 @@ class StateInHand(VectorEnv):
         other.num_envs, other.engine = len(chosen), self._begun().fork(chosen)
         return other
 
+    def _check_open(self) -> None:
+        if self.closed:
+            raise gym.error.ClosedEnvironmentError("this batch was closed; make another")
+
     def _known(self) -> Engine:
+        self._check_open()
         if self.engine is None:
             raise ValueError(
                 "snapshot, restore and fork are the batch engine's, which does not simulate this: "
@@ -105,6 +112,7 @@ class StateInHand(VectorEnv):
         has collected to fit its parameters to, which no step reads, it does not have. Of an episode
         that has ended it is the end: a reset that the next step of the batch would make is yours.
         """
+        self._check_open()
         if not self.engine:
             return pickle.loads(pickle.dumps(self._envs.envs[index_of(index, self.num_envs)]))
         state: Any = self._begun().state

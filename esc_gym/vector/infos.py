@@ -7,14 +7,20 @@ from typing import Any
 import numpy as np
 
 Infos = dict[str, Any]
+# Of these, highway-env's info of a reset has those of an action that it drew to fill it.
+OF_ACTIONS = {"lane_change_reward", "action_reward"}
 
 
 def masked(values: dict[str, Any], mask: np.ndarray) -> Infos:
-    """``values`` with a mask ``_name`` beside each."""
+    """``values`` with a mask ``_name`` beside each; where it is False, nothing, as in Gymnasium."""
     infos: Infos = {}
     for name, value in values.items():
-        infos[name] = masked(value, mask) if isinstance(value, dict) else value
-        infos[f"_{name}"] = mask.copy()
+        if isinstance(value, dict):
+            value = masked(value, mask)
+        elif not mask.all():
+            value = value.copy()
+            value[~mask] = None if value.dtype == object else -1 if name == "ids" else 0
+        infos[name], infos[f"_{name}"] = value, mask.copy()
     return infos
 
 
@@ -50,12 +56,21 @@ def columns_of(family: Any, said: tuple[np.ndarray, ...]) -> dict[str, Any]:
 def infos_of(engine: Any, outputs: Any, mask: np.ndarray, reset: np.ndarray | None = None) -> Infos:
     """What the environments of ``mask`` say of ``outputs``, those of ``reset`` after a reset.
 
-    By default all are: only families that are SILENT say less after a step.
+    By default all are. After a step families that are SILENT say less, the others more.
     """
+    reset = mask if reset is None else reset
     found = columns_of(engine.family, told(outputs, np.arange(len(mask))))
     infos = masked({"set": found.pop("set")}, mask)
-    speaking = mask if reset is None or not hasattr(engine.family, "SILENT") else reset
-    return infos | masked(found, speaking) if speaking.any() else infos
+    speaking = reset if hasattr(engine.family, "SILENT") else mask
+    if not speaking.any():
+        return infos
+    infos |= masked(found, speaking)
+    driven, rewards = mask & ~reset, infos.get("rewards", {})
+    for name in OF_ACTIONS & rewards.keys():
+        earned = {name: rewards.pop(name)}
+        del rewards[f"_{name}"]
+        rewards |= masked(earned, driven) if driven.any() else {}
+    return infos
 
 
 def of_step(family: Any, infos: Infos, actions: np.ndarray) -> Infos:
@@ -80,7 +95,8 @@ def add_final(infos: Infos, engine: Any, actions: np.ndarray, ended: np.ndarray)
         observations[e] = {name: part[e].copy() for name, part in parts.items()}
     last = infos_of(engine, engine.final, ended, ~engine.everywhere)
     add_step(last, engine, actions, ended)
-    infos.update(masked({"final_obs": observations, "final_info": last}, ended))
+    infos.update(masked({"final_obs": observations}, ended))
+    infos.update({"final_info": last, "_final_info": ended.copy()})
 
 
 def singly(family: Any, said: tuple[np.ndarray, ...], actions: Any) -> list[Infos]:
@@ -89,6 +105,9 @@ def singly(family: Any, said: tuple[np.ndarray, ...], actions: Any) -> list[Info
     if actions is not None:
         silent = hasattr(family, "SILENT")
         found = {"set": found["set"]} if silent else found | of_step(family, found, actions)
+    elif "rewards" in found:
+        rewards = found["rewards"]
+        found["rewards"] = {name: rewards[name] for name in rewards if name not in OF_ACTIONS}
     return [_without_padding(info) for info in _split(found)]
 
 

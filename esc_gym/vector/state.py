@@ -77,6 +77,8 @@ def unpack(data: bytes, arrays: Sequence[np.ndarray], identity: str) -> None:
     Raises ValueError, and writes nothing, if the bytes are not that.
     """
     start = len(HEADER)
+    if not isinstance(data, bytes | bytearray):
+        raise ValueError(f"snapshot: expected bytes, got {type(data).__name__}")
     if data[:start] != HEADER:
         raise ValueError(
             f"snapshot: expected bytes that begin with {HEADER!r}, got {data[:start]!r}; it is "

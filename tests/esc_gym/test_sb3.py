@@ -110,9 +110,12 @@ def test_mistakes():
     with pytest.raises(ValueError, match="num_envs: expected"):
         SetVecEnv(FAST, 0)
     envs = SetVecEnv(FAST, 2, config=CONFIG)
-    envs.set_options({"config": {}})
     with pytest.raises(ValueError, match=r"SetVecEnv\(..., config=...\)"):
-        envs.reset()
+        envs.set_options({"config": {}})
+    envs.reset()
+    for call in (envs.get_attr, lambda name, e: envs.env_is_wrapped(Monitor, e)):
+        with pytest.raises(ValueError, match="number of an environment, 0 to 1, got 7"):
+            call("config", [7])
 
 
 @pytest.mark.parametrize("env_id", ["exit-v0", "intersection-v0", "lane-keeping-v0"])

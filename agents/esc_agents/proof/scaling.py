@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from esc_agents import files
 from esc_agents.driving.environments import named_version
+from esc_agents.errors import say
 from esc_agents.proof.timing import in_own_process, ratio, significant
 from esc_agents.reporting.plots import COLORS, tidy
 from esc_gym import SetVecEnv
@@ -145,6 +146,7 @@ def growth_text(seconds: float, out: Path) -> str:
     """Measure growth, draw it beside the page ``out``, and what to say about it there."""
     growth, picture = measure_growth(seconds), out.with_name(f"{out.stem}-batches.png")
     draw(growth, picture)
+    say(f"Written: {picture}")
     return GROWTH_TEXT.format(name=picture.name, shares=growth.shares())
 
 

@@ -67,6 +67,10 @@ def test_as_gymnasiums_own_vector_environment(mode):
             ended += done.sum()
             for e in np.flatnonzero(done):
                 same(row(mine[4]["final_info"], e), row_of_theirs(other[4]["final_info"], e))
+            for name in ("speed", "crashed", "action", "rewards"):
+                for key in (name, f"_{name}"):
+                    same(mine[4]["final_info"][key], other[4]["final_info"][key])
+            assert mine[4]["final_info"].keys() == other[4]["final_info"].keys()
     assert ended > 3 or mode == "NextStep"
     ours.close()
 
@@ -78,6 +82,19 @@ def row_of_theirs(infos, e):
             continue
         found[name] = row_of_theirs(value, e) if isinstance(value, dict) else value[e]
     return found
+
+
+def test_a_reset_says_nothing_of_rewards_for_an_action():
+    """None was taken; highway-env's info tells those of one that it drew."""
+    envs = gym.make_vec("esc_gym/racetrack-v0", 2)
+    _, infos = envs.reset(seed=0)
+    assert "lane_centering_reward" in infos["rewards"]
+    assert not {"action_reward", "_action_reward"} & infos["rewards"].keys()
+    infos = envs.step(np.full((2, 1), 0.5, np.float32))[4]
+    same(infos["rewards"]["action_reward"], [0.5, 0.5])
+    _, infos = envs.reset(options={"reset_mask": np.array([True, False])})
+    same(infos["_speed"], [True, False])
+    assert infos["speed"][1] == 0
 
 
 def test_disabled_waits_for_a_reset_of_those_that_ended():

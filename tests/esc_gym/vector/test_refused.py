@@ -81,6 +81,11 @@ REFUSED: dict[str, tuple[Callable[[Any], object], str]] = {
     "half a seed": (lambda envs: envs.reset(seed=[0, 1.5]), "seed: expected whole numbers"),
     "a seed that is a truth": (lambda envs: envs.reset(seed=True), "seed: expected whole numbers"),
     "a seed below 0": (lambda envs: envs.reset(seed=[0, -1]), "seed: expected whole numbers"),
+    "a snapshot of nothing": (lambda envs: envs.restore(None), "expected bytes, got NoneType"),
+    "a snapshot of numbers": (
+        lambda envs: envs.restore(np.zeros(9, np.uint8)),
+        "snapshot: expected bytes, got ndarray",
+    ),
     "a seed too many": (lambda envs: envs.reset(seed=[0, 1, 2]), "expected 2 seeds"),
 }
 
@@ -100,8 +105,13 @@ def test_refused_and_unchanged(name):
 def test_after_close(accelerate):
     envs = batch(accelerate)
     envs.reset(seed=0)
+    data = envs.snapshot() if accelerate else b""
     envs.close()
-    for call in (lambda: envs.step(np.ones(2, int)), envs.reset):
+    calls = (
+        lambda: envs.step(np.ones(2, int)), envs.reset, envs.snapshot, lambda: envs.restore(data),
+        lambda: envs.fork([0]), lambda: envs.materialise(0), lambda: envs.rest(HERE), envs.measure,
+    )  # fmt: skip
+    for call in calls:
         with pytest.raises(gym.error.ClosedEnvironmentError, match="was closed"):
             call()
 
