@@ -34,6 +34,7 @@ from esc_agents.errors import UserError, say
 from esc_agents.reporting.documents import Block, Heading, Rows, Text, picture, write
 from esc_agents.reporting.statistics import Estimate
 from esc_agents.reporting.tables import show, terminal
+from esc_agents.training.run_directory import commands
 
 TITLE = "Representations of traffic, compared"
 COLUMNS = (
@@ -261,9 +262,7 @@ def provenance(tasks: Sequence[Task], out: Path) -> Iterator[Block]:
         "[summary.csv](summary.csv), [runs.csv](runs.csv); every run is a file in its scenario's "
         "`results`, which also holds its whole configuration. Commands:"
     )
-    commands = out / "command.txt"
-    if commands.exists():
-        lines = dict.fromkeys(commands.read_text(encoding="utf-8").splitlines())
+    if lines := commands(out):
         yield Text("\n".join(f"`{line}`" for line in lines), bullets=True)
     made = {", ".join(f"{k} {v}" for k, v in result.made_with.items()) for result in results}
     yield Text("Made with:")

@@ -108,6 +108,13 @@ def note_command(path: Path) -> None:
     files.write_text(commands, before + shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) + "\n")
 
 
+def commands(path: Path) -> list[str]:
+    """The commands in command.txt, each once, in their order."""
+    noted = path / "command.txt"
+    lines = noted.read_text(encoding="utf-8").splitlines() if noted.is_file() else []
+    return list(dict.fromkeys(lines))
+
+
 def open_run(path: Path, trust: bool = False) -> TrainConfig:
     """The configuration of an existing run. trust: as of ``config.load``."""
     if not (path / "config.yaml").is_file():

@@ -17,7 +17,7 @@ from esc_agents.driving.policies import load_policy
 from esc_agents.driving.rule_driver import RULE
 from esc_agents.errors import say
 from esc_agents.reporting.tables import markdown
-from esc_agents.training.run_directory import write_checksums
+from esc_agents.training.run_directory import commands, write_checksums
 from esc_agents.zoo.keeping import Kept, best_of, keep
 
 COLUMNS = (
@@ -42,7 +42,7 @@ trained with {algo} for {steps:,} steps.
 
 {table}
 
-- Trained and evaluated by: `{command}`, seed {seed}; again: `{train}`
+- Trained and evaluated by: {commands}; seed {seed}. Again: `{train}`
 - Made with: {versions}
 - Sees: {features} of each vehicle; {ego_features} of itself.
 - Knows nothing but highway-env's traffic, in this scenario, as configured in `config.yaml`: it is
@@ -52,36 +52,29 @@ trained with {algo} for {steps:,} steps.
 
 def publish(comparison: Path, docs: Path) -> list[Kept]:
     """Put a comparison's best agents into the zoo, and write ``docs``/zoo.md with their films."""
-    agents = best_of(comparison)
+    agents, made_by = best_of(comparison), commands(comparison)
     for agent in agents:
         run = store.run_folder(comparison, agent.chosen.cell)
         folder = keep(run, agent.name)
-        files.write_text(folder / "README.md", card(agent, command_of(comparison)))
+        files.write_text(folder / "README.md", card(agent, made_by))
         write_checksums(folder)
         (docs / "zoo").mkdir(parents=True, exist_ok=True)
         _film(agent, folder, docs / "zoo" / f"{agent.name}.gif")
         say(f"{folder}: {agent.chosen.cell.name} of {agent.task.folder}")
-    files.write_text(docs / "zoo.md", page(agents, command_of(comparison)))
+    files.write_text(docs / "zoo.md", page(agents, made_by))
     say(f"Written: {docs / 'zoo.md'}")
     return agents
 
 
-def command_of(comparison: Path) -> str:
-    """The command that began the comparison, as far as it is known."""
-    lines = (comparison / "command.txt").read_text(encoding="utf-8").splitlines()
-    commands = [line for line in lines if line.startswith("esc-compare")]
-    return commands[0] if commands else "esc-compare"
-
-
-def page(agents: Sequence[Kept], command: str) -> str:
-    """docs/zoo.md."""
+def page(agents: Sequence[Kept], made_by: Sequence[str]) -> str:
+    """docs/zoo.md. made_by: the commands that trained and evaluated them."""
     first = agents[0]
     text = TEXT.format(seeds=len(first.runs), episodes=len(first.chosen.drives[""]), first=EPISODES)
     versions = sorted({flow(run.made_with) for agent in agents for run in agent.runs})
     table = markdown([COLUMNS, *map(row, agents)])
     films = [f"### {a.name}\n\n![{a.name}, one episode](zoo/{a.name}.gif)" for a in agents]
-    made = "\n".join(f"- `{line}`" for line in versions)
-    parts = [text, table, f"Trained by `{command}`; made with:\n\n{made}", "## Films", *films]
+    made = "\n".join(f"- `{line}`" for line in [*made_by, *versions])
+    parts = [text, table, f"Made by, and with:\n\n{made}", "## Films", *films]
     return "\n".join(f"{part.strip()}\n" for part in parts)
 
 
@@ -128,7 +121,7 @@ def said(summary: Summary) -> str:
     return f"{return_of(summary)}, {summary.collision_rate:.0%} crashes"
 
 
-def card(agent: Kept, command: str) -> str:
+def card(agent: Kept, made_by: Sequence[str]) -> str:
     """An agent's README.md."""
     run, (blind, rule) = agent.chosen, rivals(agent)
     config, own = TrainConfig.model_validate(run.config), Summary.of(run.drives[""])
@@ -142,7 +135,8 @@ def card(agent: Kept, command: str) -> str:
     return CARD.format(
         name=agent.name, env=run.cell.env, id=config.env, reach=seen.perception_distance,
         repr=run.cell.repr, algo=run.cell.algo.upper(), steps=config.steps,
-        table=markdown(rows), command=command, seed=run.cell.seed,
+        table=markdown(rows), commands=", ".join(f"`{line}`" for line in made_by),
+        seed=run.cell.seed,
         train=f"esc-train --env {run.cell.env} --repr {run.cell.repr} --seed {run.cell.seed}",
         versions=flow(run.made_with), features=", ".join(seen.features),
         ego_features=", ".join(seen.ego_features or ["what the scenario has"]),

@@ -44,9 +44,12 @@ def test_a_comparison_is_published(compared, call, tmp_path):
     assert f"| {ENV} |" in page
     assert "2 runs" in page
     assert "3 episodes each" in page
+    made_by = (compared / "command.txt").read_text().splitlines()[0]
+    assert f"- `{made_by}`" in page
     assert (tmp_path / "docs" / "zoo" / f"{ENV}.gif").read_bytes()[:6] == b"GIF89a"
     card = (tmp_path / "zoo" / ENV / "README.md").read_text()
     assert f"Drives `{ENV}`" in card
+    assert f"Trained and evaluated by: `{made_by}`; seed" in card
     # What is kept is the run that was best in training.
     runs = {run.cell.seed: np.mean(run.curve["results"][-3:]) for run in agent.runs}
     assert agent.chosen.cell.seed == max(runs, key=lambda seed: runs[seed])
