@@ -86,7 +86,7 @@ def benchmark(
         text += ["\n" + scaling.TEXT, markdown(rows)]
         blocks.append(markdown([r for r in rows if r is scaling.COLUMNS or "-v0" in r[0]]))
         if out:
-            text.append("\n" + scaling.growth_text(seconds, out))
+            text.append("\n" + scaling.growth_text(seconds, out, say))
     if trained:
         rows = [training.COLUMNS]
         rows += [training.measure(config_for_env(id), seconds, say) for id in trained]

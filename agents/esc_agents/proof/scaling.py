@@ -15,7 +15,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from esc_agents import files
 from esc_agents.driving.environments import named_version
-from esc_agents.errors import say
 from esc_agents.proof.timing import in_own_process, ratio, significant
 from esc_agents.reporting.plots import COLORS, tidy
 from esc_gym import SetVecEnv
@@ -153,7 +152,7 @@ def measure_growth(seconds: float) -> Growth:
     return Growth(environments, [cost / (count + 1) for count, cost in costs])
 
 
-def growth_text(seconds: float, out: Path) -> str:
+def growth_text(seconds: float, out: Path, say: Callable[[str], None]) -> str:
     """Measure growth, draw it beside the page ``out``, and what to say about it there."""
     growth, picture = measure_growth(seconds), out.with_name(f"{out.stem}-batches.png")
     draw(growth, picture)
