@@ -110,12 +110,6 @@ def driver(envs: Any, steps: int) -> Callable[[float], float]:
     return drive
 
 
-def grown(id: str, count: int, threads: int, seconds: float, **config: Any) -> float:
-    """Seconds of a step of one environment in a batch."""
-    drive = driver(SetVecEnv(id, count, threads, config=config), STEPS)
-    return min(drive(seconds / 3) for _ in range(3))
-
-
 @dataclass(frozen=True)
 class Growth:
     """Seconds of a step by [threads][environments], and of a vehicle's share by [vehicles]."""
@@ -131,25 +125,19 @@ class Growth:
 
 
 def measure_growth(seconds: float) -> Growth:
-    """Measure it, for about ``seconds`` each, the fastest of all visits."""
+    """Measure it, for about ``seconds`` each, in turns, of which the fastest counts."""
 
-    def fastest(id: str, cases: Sequence[tuple[int, int, dict[str, int]]]) -> list[float]:
-        visits = [
-            [
-                grown(id, count, threads, seconds / VISITS, **config)
-                for count, threads, config in cases
-            ]
-            for _ in range(VISITS)
-        ]
-        return np.min(visits, axis=0).tolist()
+    def fastest(batches: Sequence[SetVecEnv]) -> list[float]:
+        sides = [driver(envs, STEPS) for envs in batches]
+        return np.min([[side(seconds / 6) for side in sides] for _ in range(6)], axis=0).tolist()
 
     environments = {
-        threads: fastest("highway-fast-v0", [(count, threads, {}) for count in COUNTS])
+        threads: fastest([SetVecEnv("highway-fast-v0", count, threads) for count in COUNTS])
         for threads in (1, THREADS)
     }
-    cases = [(ENVIRONMENTS, 1, {"vehicles_count": count}) for count in VEHICLES]
-    costs = zip(VEHICLES, fastest("highway-v0", cases), strict=True)
-    return Growth(environments, [cost / (count + 1) for count, cost in costs])
+    configs = [{"vehicles_count": count} for count in VEHICLES]
+    costs = fastest([SetVecEnv("highway-v0", ENVIRONMENTS, config=config) for config in configs])
+    return Growth(environments, [cost / (n + 1) for cost, n in zip(costs, VEHICLES, strict=True)])
 
 
 def growth_text(seconds: float, out: Path, say: Callable[[str], None]) -> str:
