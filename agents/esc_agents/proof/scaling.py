@@ -160,7 +160,8 @@ def draw(growth: Growth, path: Path) -> None:
     left.legend(frameon=False)
     shares = [1e6 * share for share in growth.vehicles]
     right.plot(VEHICLES, shares, "o-", color=COLORS["esc"])
-    right.set(xscale="log", xlabel="vehicles", ylabel="us per vehicle and step", ylim=(0, None))
+    right.set(xscale="log", xlabel="vehicles", ylabel="us per vehicle and step")
+    right.set_ylim(0, 1.2 * max(shares))  # where all are alike, matplotlib's own margin is none
     for axes, ticks in ((left, COUNTS), (right, VEHICLES)):
         axes.set_xticks(ticks, [str(tick) for tick in ticks])
         axes.minorticks_off()
