@@ -201,6 +201,9 @@ class TrainConfig(Model):
     """Training steps between two checkpoints, from which --resume continues exactly."""
     env_config: Mapping = {}
     """highway-env configuration, merged into the id's own."""
+    train_env_config: Mapping = {}
+    """Merged over it in training only: rewards that show the way, or other traffic. Evaluations are
+    of the scenario itself."""
     continuous: ContinuousConfig | None = None
     observation: ObservationConfig = ObservationConfig()
     encoder: EncoderConfig = EncoderConfig()

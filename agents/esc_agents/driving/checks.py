@@ -10,7 +10,7 @@ import gymnasium as gym
 import torch
 
 from esc_agents.config import TrainConfig, check_env_id
-from esc_agents.driving.environments import check_actions, make_env
+from esc_agents.driving.environments import check_actions, in_training, make_env
 from esc_agents.errors import UserError
 from esc_gym.encoders import representation
 from esc_gym.extractors import SetExtractor
@@ -24,6 +24,8 @@ def check(config: TrainConfig) -> gym.Env:
         raise UserError(f"repr: {error}") from error
     check_device(config.device)
     env = check_env(config)
+    if config.train_env_config:
+        _check_training(config, env)
     with _explained(config):
         _try_encoder(config, env)
     if config.algo == "sac" and config.sac.hindsight:
@@ -35,6 +37,23 @@ def check(config: TrainConfig) -> gym.Env:
             f"{config.ppo.batch_size}; raise --ppo.n-steps or lower --ppo.batch-size"
         )
     return env
+
+
+def _check_training(config: TrainConfig, env: Any) -> None:
+    there: Any = check_env(in_training(config))
+    if there.action_space != env.action_space:
+        raise UserError(
+            f"train_env_config: expected the actions that evaluations have, {env.action_space}, "
+            f"got {there.action_space}"
+        )
+    here, wanted = (each.observation_space for each in (there, env))
+    if here != wanted:
+        shape, wanted_shape = (space["vehicles"].shape for space in (here, wanted))
+        raise UserError(
+            "train_env_config: expected observations of the same shape and range as in "
+            f"evaluations, vehicles {wanted_shape}, got {shape}; other numbers of vehicles need "
+            "observation.max_vehicles"
+        )
 
 
 def _check_hindsight(config: TrainConfig, env: gym.Env) -> None:

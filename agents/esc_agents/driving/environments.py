@@ -30,6 +30,13 @@ def env_config(config: TrainConfig) -> dict[str, Any]:
     return merge(config.env_config, preset)
 
 
+def in_training(config: TrainConfig) -> TrainConfig:
+    """The run as its training environments are, with ``train_env_config``."""
+    merged = merge(env_config(config), config.train_env_config)
+    task = config.continuous and config.continuous.model_copy(update={"env_config": {}})
+    return config.model_copy(update={"env_config": merged, "continuous": task})
+
+
 def actions(config: TrainConfig) -> dict[str, Any]:
     """The ``action`` section of a run's whole highway-env configuration."""
     return merge_config(_env_class(config).default_config(), env_config(config))["action"]

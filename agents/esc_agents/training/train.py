@@ -21,7 +21,7 @@ from esc_agents import files, pretrained
 from esc_agents.config import TrainConfig
 from esc_agents.driving.baselines import action_names, blind_policies, rule_driver, verdict
 from esc_agents.driving.checks import check
-from esc_agents.driving.environments import wrapper_json
+from esc_agents.driving.environments import in_training, wrapper_json
 from esc_agents.driving.episodes import (
     Summary,
     as_rows,
@@ -102,7 +102,7 @@ def _said(directory: Path) -> Iterator[None]:
 
 def _vectorised(config: TrainConfig) -> Iterator[VecEnv]:
     """Environments to train in, and to evaluate in."""
-    yield vectorise(config, config.n_envs)
+    yield vectorise(in_training(config), config.n_envs)
     yield vectorise(config, min(config.n_envs, config.evaluation.episodes), evaluation=True)
 
 
