@@ -116,7 +116,15 @@ class ContinuousConfig(Model):
     """End the episode where the ego leaves the road."""
 
 
-class PPOConfig(Model):
+class AlgorithmConfig(Model):
+    """What every algorithm has."""
+
+    train_env_config: Mapping = {}
+    """highway-env configuration, merged over all other in training only: rewards that show the way,
+    or other traffic. Evaluations are of the scenario itself."""
+
+
+class PPOConfig(AlgorithmConfig):
     """Stable-Baselines3 PPO."""
 
     learning_rate: PositiveFloat = 5e-4
@@ -140,7 +148,7 @@ class PPOConfig(Model):
     """Hidden widths of the policy and of the value network after the features extractor."""
 
 
-class SACConfig(Model):
+class SACConfig(AlgorithmConfig):
     """Stable-Baselines3 SAC."""
 
     learning_rate: PositiveFloat = 3e-4
@@ -201,9 +209,6 @@ class TrainConfig(Model):
     """Training steps between two checkpoints, from which --resume continues exactly."""
     env_config: Mapping = {}
     """highway-env configuration, merged into the id's own."""
-    train_env_config: Mapping = {}
-    """Merged over it in training only: rewards that show the way, or other traffic. Evaluations are
-    of the scenario itself."""
     continuous: ContinuousConfig | None = None
     observation: ObservationConfig = ObservationConfig()
     encoder: EncoderConfig = EncoderConfig()

@@ -81,7 +81,6 @@ def _config(arguments: TrainArguments, base: TrainArguments) -> TrainConfig:
     # --env-config adds to the scenario's configuration, and also beats what SAC changes in it.
     given = arguments.env_config if arguments.env_config != base.env_config else {}
     values["env_config"] = merge(base.env_config, given)
-    values["train_env_config"] = merge(base.train_env_config, arguments.train_env_config)
     if arguments.continuous and base.continuous:
         preset = merge(base.continuous.env_config, arguments.continuous.env_config)
         task = {"env_config": merge(preset, given)}

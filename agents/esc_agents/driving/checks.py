@@ -24,7 +24,7 @@ def check(config: TrainConfig) -> gym.Env:
         raise UserError(f"repr: {error}") from error
     check_device(config.device)
     env = check_env(config)
-    if config.train_env_config:
+    if config.hyperparameters.train_env_config:
         _check_training(config, env)
     with _explained(config):
         _try_encoder(config, env)

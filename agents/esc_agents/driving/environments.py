@@ -32,7 +32,7 @@ def env_config(config: TrainConfig) -> dict[str, Any]:
 
 def in_training(config: TrainConfig) -> TrainConfig:
     """The run as its training environments are, with ``train_env_config``."""
-    merged = merge(env_config(config), config.train_env_config)
+    merged = merge(env_config(config), config.hyperparameters.train_env_config)
     task = config.continuous and config.continuous.model_copy(update={"env_config": {}})
     return config.model_copy(update={"env_config": merged, "continuous": task})
 

@@ -19,7 +19,10 @@ from esc_gym.extractors import SetExtractor
 from esc_gym.matching import parameter_count
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
-OURS = {"net_arch", "ortho_init", "learning_rate_schedule", "ent_coef_schedule", "hindsight"}
+OURS = {
+    "train_env_config", "net_arch", "ortho_init", "learning_rate_schedule", "ent_coef_schedule",
+    "hindsight",
+}  # fmt: skip
 """Hyperparameters that are no arguments of SB3's algorithms by these names."""
 
 

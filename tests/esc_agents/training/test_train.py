@@ -213,8 +213,8 @@ def test_training_learns_something_and_repeats_itself(ppo_run, tmp_path):
 
 def test_what_is_merged_in_training_only_is_in_no_evaluation(tmp_path):
     nothing = {name: 0 for name in ("collision_reward", "high_speed_reward", "right_lane_reward")}
-    changes = {"train_env_config": {**nothing, "normalize_reward": False}, "steps": 128}
-    assert train(tiny(run_dir=tmp_path / "run", **changes))
+    ppo = {**PPO_SETTINGS, "train_env_config": {**nothing, "normalize_reward": False}}
+    assert train(tiny(run_dir=tmp_path / "run", ppo=ppo, steps=128))
     returns = {row["driving/return"] for row in metrics(tmp_path / "run")} - {""}
     assert {float(value) for value in returns} == {0.0}
     assert (np.load(tmp_path / "run" / "evaluations.npz")["results"] > 1).all()
@@ -273,13 +273,13 @@ def test_ctrl_c_saves_the_model_and_says_how_to_go_on(tmp_path, monkeypatch, cap
             "highway-fast-v0: config.*expected a number",
         ),
         ({"env_config": {"action": {"target_speeds": []}}}, "highway-fast-v0: IndexError"),
-        ({"train_env_config": {"lanes_cont": 2}}, "unknown key 'lanes_cont'"),
+        ({"ppo": {"train_env_config": {"lanes_cont": 2}}}, "unknown key 'lanes_cont'"),
         (
-            {"train_env_config": {"vehicles_count": 9}},
+            {"ppo": {"train_env_config": {"vehicles_count": 9}}},
             r"vehicles \(6, 7\), got \(9, 7\); .* observation.max_ve",
         ),
         (
-            {"train_env_config": {"action": {"type": "ContinuousAction"}}},
+            {"ppo": {"train_env_config": {"action": {"type": "ContinuousAction"}}}},
             "the actions that evaluations have",
         ),
         ({"encoder": {"arguments": {"scala": 1}}}, "unexpected keyword argument 'scala'"),
