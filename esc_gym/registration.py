@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from difflib import get_close_matches
 from typing import Any
@@ -14,6 +14,12 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import (
+    ContinuousAction,
+    DiscreteAction,
+    DiscreteMetaAction,
+    MultiAgentAction,
+)
 
 from esc_gym.fastsim.behavior import original_behavior
 from esc_gym.observation import SetObservation
@@ -61,6 +67,7 @@ def make(
             f"{NAMESPACE}/{base_id} is multi-agent; esc_gym supports the {len(ENV_IDS)} "
             f"single-agent environments of highway-env, for example {NAMESPACE}/intersection-v0."
         )
+    check_arguments(set_observation, make)
     env_class: Any = load_env_creator(str(gym.registry[base_id].entry_point))
     env_class = SET_PARKING.get(env_class, env_class)
     merged = merge_config(env_class.default_config(), config or {})
@@ -68,6 +75,25 @@ def make(
     merged["observation"] = {"type": "Kinematics"}
     with original_behavior(_driver(merged["other_vehicles_type"])):
         return SetObservation(_construct(env_class, merged, render_mode), **set_observation)
+
+
+def check_arguments(given: Iterable[str], maker: Callable[..., Any]) -> None:
+    """Raises TypeError for an argument that is neither of ``maker`` nor of ``SetObservation``."""
+    known = [
+        name for function in (maker, SetObservation)
+        for name, argument in inspect.signature(function).parameters.items()
+        if argument.kind is not argument.VAR_KEYWORD and name not in ("base_id", "env")
+    ]  # fmt: skip
+    for name in given:
+        if name not in known:
+            raise TypeError(f"unexpected argument {name!r}; {_hint(name, known)}")
+
+
+def _hint(name: str, known: Iterable[str]) -> str:
+    known = list(known)
+    near = get_close_matches(name, known, 1)
+    guess = f"did you mean {near[0]!r}? " if near else ""
+    return f"{guess}known: {', '.join(known)}."
 
 
 def _driver(path: Any) -> Any:
@@ -114,13 +140,12 @@ def merge_config(default: dict[str, Any], changes: Mapping[str, Any]) -> dict[st
             )
         # Reward terms are read by name, and not all of them stand in the defaults.
         if key not in default and not key.endswith("_reward"):
-            near = get_close_matches(key, default, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(default)}."
-            raise ValueError(f"config: unknown key {key!r}; {hint}")
+            raise ValueError(f"config: unknown key {key!r}; {_hint(key, default)}")
         if isinstance(default.get(key), dict) and not isinstance(changes[key], Mapping):
             raise ValueError(f"config[{key!r}]: expected a mapping, got {changes[key]!r}.")
         _check(key, default.get(key), changes[key])
     merged = merge(default, changes)
+    _check_action(merged["action"], {*changes.get("action", {})} - {*default["action"]})
     lane, lanes = merged.get("initial_lane_id"), merged.get("lanes_count")
     whole = isinstance(lane, int | np.integer)
     if lane is not None and lanes is not None and not (whole and lane < lanes):
@@ -128,6 +153,26 @@ def merge_config(default: dict[str, Any], changes: Mapping[str, Any]) -> dict[st
             f"config['initial_lane_id']: expected a whole number below {lanes}, got {lane!r}."
         )
     return merged
+
+
+def _check_action(config: Mapping[str, Any], given: Iterable[str]) -> None:
+    """highway-env's classes of actions swallow whatever they do not know."""
+    actions: dict[str, Any] = {
+        kind.__name__: kind
+        for kind in (ContinuousAction, DiscreteAction, DiscreteMetaAction, MultiAgentAction)
+    }
+    if config["type"] not in actions:
+        raise ValueError(
+            f"config['action']['type']: expected one of {', '.join(actions)}; got "
+            f"{config['type']!r}."
+        )
+    known = {"type": None} | {
+        name: None for kind in inspect.getmro(actions[config["type"]]) if "__init__" in vars(kind)
+        for name in inspect.signature(kind).parameters if name not in ("env", "kwargs")
+    }  # fmt: skip
+    for key in given:
+        if key not in known:
+            raise ValueError(f"config['action']: unknown key {key!r}; {_hint(key, known)}")
 
 
 def _check(key: str, default: Any, value: Any) -> None:

@@ -122,9 +122,15 @@ class SetVecEnv(VecEnv):
         self, env_id: str, n_envs: int = 1, threads: int = 1, collisions: bool = False,
         **arguments: Any,
     ) -> None:  # fmt: skip
+        if not isinstance(env_id, str):
+            raise ValueError(f"env_id: expected an id such as 'highway-v0', got {env_id!r}.")
         env_id = env_id if env_id.startswith(f"{NAMESPACE}/") else f"{NAMESPACE}/{env_id}"
+        if "num_envs" in arguments:
+            raise TypeError("num_envs: as in SB3 it is n_envs here.")
         if "autoreset_mode" in arguments:
-            raise ValueError("autoreset_mode: SB3 resets in the step that ends an episode.")
+            raise ValueError(
+                "autoreset_mode: leave it out; with SB3 the step that ends an episode resets."
+            )
         # Reset here, after everything that there is to say of the last step.
         envs: Any = gym.make_vec(
             env_id, n_envs, vectorization_mode="vector_entry_point", threads=threads, copy=False,

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import batch_space
 
 from esc_gym import fastsim
-from esc_gym.registration import make
+from esc_gym.registration import check_arguments, make
 from esc_gym.vector.arguments import (
     actions_of,
     at_least_one,
@@ -87,6 +87,7 @@ class SetVectorEnv(StateInHand):
         copy: bool = True,
         **set_observation: Any,
     ) -> None:
+        check_arguments(set_observation, SetVectorEnv)
         self.num_envs = at_least_one("num_envs", num_envs)
         threads = at_least_one("threads", threads)
         mode = self.autoreset_mode = mode_of(autoreset_mode)
@@ -160,6 +161,8 @@ class SetVectorEnv(StateInHand):
 
         seed: environment i gets seed + i; or one seed for each; None: go on drawing.
         """
+        if not isinstance(options, Mapping | None):
+            raise ValueError(f"options: expected a mapping, got {options!r}.")
         options = dict(options or {})
         seeds = seeds_of(seed, self.num_envs)
         name, everywhere = "options['reset_mask']", np.ones(self.num_envs, bool)

@@ -64,8 +64,9 @@ class StateInHand(VectorEnv):
     def fork(self, indices: Sequence[int]) -> Self:
         """A new batch of copies of some environments, as many times as asked for.
 
-        What they were last told is theirs, too; the copies go on as the originals would.
-        Raises ValueError where the engine does not simulate this (``report()``).
+        indices: numbers of environments, from the end if negative. What these were last told is the
+        copies', too, and they go on as the originals would. Raises ValueError where the engine does
+        not simulate this (``report()``).
         """
         chosen = indices_of(indices, self.num_envs)
         other = shallow_copy(self)
@@ -82,8 +83,8 @@ class StateInHand(VectorEnv):
         self._check_open()
         if self.engine is None:
             raise ValueError(
-                "snapshot, restore and fork are the batch engine's, which does not simulate this: "
-                f"{self._reason}"
+                "snapshot, restore, fork and rest need the batch engine, which does not simulate "
+                f"this: {self._reason}"
             )
         return self.engine
 
@@ -99,14 +100,19 @@ class StateInHand(VectorEnv):
             engine.born = True
         return engine
 
-    def _identity(self) -> str:
-        return repr((
-            self._task, self.num_envs, self.set_spec, self.set_spec.limits, self.autoreset_mode,
-            self._limit, VEHICLE, HEAD,
-        ))  # fmt: skip
+    def _identity(self) -> dict[str, object]:
+        base_id, config = self._task
+        return {
+            "id": base_id, "config": config, "num_envs": self.num_envs,
+            "observation": (self.set_spec, self.set_spec.limits),
+            "autoreset_mode": self.autoreset_mode, "max_episode_steps": self._limit,
+            "version of esc_gym": (VEHICLE, HEAD),
+        }  # fmt: skip
 
     def materialise(self, index: int) -> gym.Env:
         """A ``gym.make`` environment in exactly the state of environment ``index``.
+
+        index: from the end if negative.
 
         For rendering, debugging and films; stepping it changes nothing here. What a LinearVehicle
         has collected to fit its parameters to, which no step reads, it does not have. Of an episode

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -19,7 +19,7 @@ HEAD = np.dtype(
     [("time", "f8")]
     + [(name, "i8") for name in ("steps", "elapsed", "over", "next_id", "single", "lane", "seed")]
 )
-HEADER = b"esc_gym snapshot 2\n"
+HEADER = b"esc_gym snapshot 3\n"
 # Values of ``over``; RESTING: left alone until it is reset; UNBORN: never reset.
 RUNNING, ENDED, RESTING, UNBORN = range(4)
 # Rows of ``generators``: highway-env's own, and that of the order "shuffled".
@@ -64,14 +64,18 @@ class State:
         return State(*(array.take(indices, axis=0) for array in self.arrays()))
 
 
-def packed(arrays: Sequence[np.ndarray], identity: str) -> bytes:
-    """The content of arrays as bytes. identity: what they are of."""
-    content = b"".join(array.tobytes() for array in arrays)
-    mark = hashlib.sha256(identity.encode()).digest()
-    return HEADER + mark + hashlib.sha256(mark + content).digest() + content
+def _marks(identity: Mapping[str, object]) -> list[bytes]:
+    """A fingerprint of each part of what a snapshot is of."""
+    return [hashlib.sha256(repr(part).encode()).digest() for part in identity.values()]
 
 
-def unpack(data: bytes, arrays: Sequence[np.ndarray], identity: str) -> None:
+def packed(arrays: Sequence[np.ndarray], identity: Mapping[str, object]) -> bytes:
+    """The content of arrays as bytes. identity: what they are of, by name."""
+    content = b"".join([*_marks(identity), *(array.tobytes() for array in arrays)])
+    return HEADER + hashlib.sha256(content).digest() + content
+
+
+def unpack(data: bytes, arrays: Sequence[np.ndarray], identity: Mapping[str, object]) -> None:
     """Write into ``arrays`` what ``packed`` took from others of the same shapes.
 
     Raises ValueError, and writes nothing, if the bytes are not that.
@@ -84,19 +88,19 @@ def unpack(data: bytes, arrays: Sequence[np.ndarray], identity: str) -> None:
             f"snapshot: expected bytes that begin with {HEADER!r}, got {data[:start]!r}; it is "
             "damaged, or of another version of esc_gym"
         )
-    mark, digest, content = (
-        data[start : start + 32],
-        data[start + 32 : start + 64],
-        data[start + 64 :],
-    )
-    if hashlib.sha256(mark + content).digest() != digest:
-        raise ValueError(f"snapshot: damaged, {len(data):,} bytes")
-    if mark != hashlib.sha256(identity.encode()).digest():
+    digest, content = data[start : start + 32], data[start + 32 :]
+    if hashlib.sha256(content).digest() != digest:
         raise ValueError(
-            "snapshot: of other environments; expected the same id, config, number of "
-            "environments, observation and autoreset mode"
+            f"snapshot: damaged; its {len(data):,} bytes do not match their checksum; take another"
         )
-    place = 0
+    theirs = [content[place : place + 32] for place in range(0, 32 * len(identity), 32)]
+    pairs = zip(identity, _marks(identity), theirs, strict=True)
+    other = [name for name, mine, there in pairs if mine != there]
+    if other:
+        raise ValueError(
+            f"snapshot: of other environments; their {', '.join(other)} should be as here"
+        )
+    place = 32 * len(identity)
     for array in arrays:
         part = np.frombuffer(content, array.dtype, array.size, place)
         array[...] = part.reshape(array.shape)

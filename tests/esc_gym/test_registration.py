@@ -115,11 +115,14 @@ def test_ids_that_take_no_config_get_it_all_the_same(base_id):
 
 
 def test_merge_config_leaves_the_default_alone():
-    default = {"action": {"type": "A", "x": 1}, "lanes_count": 4}
-    merged = merge_config(default, {"action": {"x": 2}, "jerk_reward": -1})
-    assert merged == {"action": {"type": "A", "x": 2}, "lanes_count": 4, "jerk_reward": -1}
-    assert merge_config(default, {"action": {"type": "B"}})["action"] == {"type": "B"}
-    assert default == {"action": {"type": "A", "x": 1}, "lanes_count": 4}
+    action = {"type": "DiscreteMetaAction", "lateral": True}
+    default = {"action": dict(action), "lanes_count": 4}
+    merged = merge_config(default, {"action": {"lateral": False}, "jerk_reward": -1})
+    changed = {"type": "DiscreteMetaAction", "lateral": False}
+    assert merged == {"action": changed, "lanes_count": 4, "jerk_reward": -1}
+    other = {"type": "ContinuousAction"}
+    assert merge_config(default, {"action": other})["action"] == other
+    assert default == {"action": action, "lanes_count": 4}
 
 
 @pytest.mark.parametrize(
@@ -141,6 +144,12 @@ def test_merge_config_leaves_the_default_alone():
         ({"other_vehicles_type": "my.Class"}, "expected a class to import.* got 'my.Class'"),
         ({"other_vehicles_type": "highway_env.No"}, "expected a class to import"),
         ([1], "config: expected a mapping"),
+        ({"action": {"type": "Steering"}}, "expected one of ContinuousAction, .* got 'Steering'"),
+        ({"action": {"typ": "ContinuousAction"}}, "unknown key 'typ'; did you mean 'type'"),
+        (
+            {"action": {"type": "ContinuousAction", "steering_rang": [-1, 1]}},
+            "unknown key 'steering_rang'; did you mean 'steering_range'",
+        ),
     ],
 )
 def test_numbers_in_a_configuration(changes, message):
@@ -151,6 +160,8 @@ def test_numbers_in_a_configuration(changes, message):
 def test_bad_configuration():
     with pytest.raises(ValueError, match="unknown key 'lane_count'; did you mean 'lanes_count'"):
         gym.make("esc_gym/highway-v0", config={"lane_count": 3})
+    with pytest.raises(TypeError, match="unexpected argument 'feature'; did you mean 'features'"):
+        gym.make("esc_gym/highway-v0", feature=["x"])
     with pytest.raises(ValueError, match="has no effect here: esc_gym observes the set"):
         gym.make("esc_gym/highway-v0", config={"observation": {"type": "Kinematics"}})
 

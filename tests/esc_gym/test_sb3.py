@@ -105,6 +105,10 @@ def test_attributes_methods_and_wrappers():
 
 
 def test_mistakes():
+    with pytest.raises(TypeError, match="num_envs: as in SB3 it is n_envs here"):
+        SetVecEnv(FAST, num_envs=2)
+    with pytest.raises(ValueError, match="env_id: expected an id such as 'highway-v0'"):
+        SetVecEnv(2)
     with pytest.raises(ValueError, match="autoreset_mode"):
         SetVecEnv(FAST, 2, autoreset_mode="NextStep")
     with pytest.raises(ValueError, match="num_envs: expected"):

@@ -246,13 +246,14 @@ BAD_ARGUMENTS = {
     "config": ({"config": {"lane_count": 3}}, "unknown key 'lane_count'"),
     "observation": ({"max_vehicles": 0}, "max_vehicles: expected a whole number"),
     "human": ({"render_mode": "human"}, "render_mode: expected None or 'rgb_array'"),
+    "no argument": ({"thread": 2}, "unexpected argument 'thread'; did you mean 'threads'"),
 }
 
 
 @pytest.mark.parametrize("name", BAD_ARGUMENTS)
 def test_bad_arguments(name):
     arguments, message = BAD_ARGUMENTS[name]
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((ValueError, TypeError), match=message):
         SetVectorEnv("highway-fast-v0", **arguments)
 
 
@@ -282,13 +283,16 @@ def test_bad_snapshots_change_nothing():
     damaged = bytearray(data)
     damaged[-1] ^= 1
     others = batch(FAST, 2, {**CONFIG, "duration": 7})
-    others.reset(seed=0)
+    more = batch(FAST, 3, CONFIG, max_episode_steps=4)
+    for envs_of_others in (others, more):
+        envs_of_others.reset(seed=0)
     for bad, message in (
         (b"", "damaged, or of another version"),
-        (data.replace(b"snapshot 2", b"snapshot 1"), "another version"),
+        (data.replace(b"snapshot 3", b"snapshot 2"), "another version"),
         (data[:-5], "damaged"),
         (bytes(damaged), "damaged"),
-        (others.snapshot(), "of other environments"),
+        (others.snapshot(), "of other environments; their config should be as here"),
+        (more.snapshot(), "their num_envs, max_episode_steps should"),
     ):
         with pytest.raises(ValueError, match=message):
             envs.restore(bad)
@@ -301,7 +305,7 @@ def test_bad_resets_change_nothing():
     before = envs.snapshot()
     for arguments in (
         {"seed": [1]}, {"seed": -1}, {"options": {"reset_mask": np.zeros(2, bool)}},
-        {"options": {"config": {}}},
+        {"options": {"config": {}}}, {"options": "x"},
     ):  # fmt: skip
         with pytest.raises((ValueError, gym.error.Error)):
             envs.reset(**arguments)
