@@ -122,6 +122,11 @@ class AlgorithmConfig(Model):
     train_env_config: Mapping = {}
     """highway-env configuration, merged over all other in training only: rewards that show the way,
     or other traffic. Evaluations are of the scenario itself."""
+    use_sde: bool = False
+    """With continuous actions, explore by a noise that lasts and depends on the state (gSDE): it
+    turns the wheel where independent noise would only shake it."""
+    sde_sample_freq: Annotated[int, Field(ge=-1)] = -1
+    """Steps for which gSDE's noise lasts; -1: a whole rollout."""
 
 
 class PPOConfig(AlgorithmConfig):

@@ -28,6 +28,11 @@ def check(config: TrainConfig) -> gym.Env:
         _check_training(config, env)
     with _explained(config):
         _try_encoder(config, env)
+    if config.hyperparameters.use_sde and isinstance(env.action_space, gym.spaces.Discrete):
+        raise UserError(
+            f"{config.algo}.use_sde: expected continuous actions, got {env.action_space}; leave it "
+            "false"
+        )
     if config.algo == "sac" and config.sac.hindsight:
         _check_hindsight(config, env)
     rollout = config.ppo.n_steps * config.n_envs

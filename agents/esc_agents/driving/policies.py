@@ -85,6 +85,7 @@ class PolicyDescription(_Described):
     action: BoxSpace | DiscreteSpace
     encoder: dict[str, Any]
     net_arch: tuple[int, ...]
+    use_sde: bool = False
     observation: dict[str, Any]
     versions: dict[str, str]
 
@@ -101,7 +102,8 @@ class PolicyDescription(_Described):
         )
         return POLICIES[self.algo](
             observation, self.action.build(), lambda _: 0.0,  # type: ignore[arg-type]
-            net_arch=list(self.net_arch), features_extractor_class=SetExtractor,
+            net_arch=list(self.net_arch), use_sde=self.use_sde,
+            features_extractor_class=SetExtractor,
             features_extractor_kwargs=self.encoder,
         )  # fmt: skip
 
@@ -126,6 +128,7 @@ def save_policy(
         else BoxSpace.of(action),
         encoder=pinned_arguments(model.policy),
         net_arch=config.hyperparameters.net_arch,
+        use_sde=config.hyperparameters.use_sde,
         observation=observation,
         versions=files.versions(),
     )

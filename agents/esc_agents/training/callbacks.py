@@ -10,6 +10,7 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
+import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter
 from stable_baselines3.common.vec_env import VecEnv
@@ -187,6 +188,27 @@ class Faults(BaseCallback):
 
     def _where(self) -> str:
         return f"{self.config.env}, seed {self.config.seed}, step {self.num_timesteps:,}"
+
+
+class LastingNoise(BaseCallback):
+    """The random numbers of a rollout with gSDE follow from the run's seed and the steps so far.
+
+    SB3 draws the noise right before a rollout begins, and so before its checkpoint: whoever goes on
+    from there would draw another.
+    """
+
+    def __init__(self, config: TrainConfig) -> None:
+        super().__init__()
+        self.config = config
+
+    def _on_rollout_start(self) -> None:
+        moment = np.random.SeedSequence((self.config.seed, self.num_timesteps))
+        torch.manual_seed(int(moment.generate_state(1, np.uint64)[0]))
+        policy: Any = self.model.policy
+        policy.reset_noise(self.config.n_envs)
+
+    def _on_step(self) -> bool:
+        return True
 
 
 class Checkpoints(BaseCallback):

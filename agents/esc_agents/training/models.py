@@ -43,6 +43,8 @@ def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
     if config.algo == "ppo":
         policy["ortho_init"] = config.ppo.ortho_init
         adam["eps"] = 1e-5  # what SB3 takes where it is given no arguments
+        if config.ppo.use_sde:
+            policy["log_std_init"] = -2.0  # of each of the many weights that add up to an action
     elif config.sac.hindsight:
         settings["replay_buffer_class"] = HerReplayBuffer
     policy["optimizer_kwargs"] = adam

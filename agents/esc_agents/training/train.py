@@ -42,6 +42,7 @@ from esc_agents.training.callbacks import (
     EntropySchedule,
     Faults,
     FixedSeedEvaluation,
+    LastingNoise,
     MetricsWriter,
     StopOnSignal,
     Stopped,
@@ -216,6 +217,8 @@ class Training:
         saved.callbacks = callbacks = [faults, DrivingLog(), evaluation, saved]
         if config.algo == "ppo" and config.ppo.ent_coef_schedule == "linear":
             callbacks.append(EntropySchedule(config))
+        if config.hyperparameters.use_sde:
+            callbacks.append(LastingNoise(config))
         if found:
             checkpoint.resume(model, found, callbacks)
         try:

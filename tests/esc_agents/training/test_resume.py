@@ -5,11 +5,15 @@ from __future__ import annotations
 import pkgutil
 import signal
 
+import numpy as np
 import pytest
 
+from esc_agents.driving.environments import make_env
+from esc_agents.driving.policies import load_policy
 from esc_agents.errors import UserError
 from esc_agents.training import callbacks, run_directory
 from esc_agents.training.checkpoint import in_order
+from esc_agents.training.models import ALGORITHMS
 from esc_agents.training.train import train
 from tests.esc_agents.tiny import tiny
 
@@ -92,6 +96,27 @@ def test_killed_and_resumed(vec, algo, moment, whole, tmp_path, monkeypatch):
     monkeypatch.undo()
     assert train(run_directory.open_run(tmp_path / "run"), resume=tmp_path / "run")
     assert_same(whole(algo), tmp_path / "run")
+
+
+@pytest.mark.parametrize("algo", ["ppo", "sac"])
+def test_exploring_with_a_noise_that_lasts(algo, tmp_path, monkeypatch):
+    """gSDE, its policy's own weights among those of the two files that hold no code."""
+    settings = getattr(tiny(), algo).model_dump() | {"use_sde": True, "sde_sample_freq": 4}
+    run = tiny("lane-keeping-v0", algo=algo, steps=80, checkpoint_every=20, **{algo: settings})
+    assert train(run.model_copy(update={"run_dir": tmp_path / "whole"}))
+    kill(monkeypatch, callbacks.DrivingLog, "_on_step", 31)
+    with pytest.raises(Killed):
+        train(run.model_copy(update={"run_dir": tmp_path / "run"}))
+    monkeypatch.undo()
+    assert train(run_directory.open_run(tmp_path / "run"), resume=tmp_path / "run")
+    assert_same(tmp_path / "whole", tmp_path / "run")
+    observation, _ = make_env(run).reset(seed=0)
+    model = ALGORITHMS[algo].load(tmp_path / "run" / "model.zip")
+    assert (model.use_sde, model.sde_sample_freq) == (True, 4)
+    np.testing.assert_array_equal(
+        load_policy(tmp_path / "run")[0].predict(observation, deterministic=True)[0],
+        model.predict(observation, deterministic=True)[0],
+    )
 
 
 def test_a_checkpoint_of_the_other_kind(own_run):

@@ -267,6 +267,7 @@ def test_ctrl_c_saves_the_model_and_says_how_to_go_on(tmp_path, monkeypatch, cap
         ({"device": "meta"}, "device: expected auto, cpu or cuda, got 'meta'"),
         ({"device": "abacus"}, "device: expected auto, cpu or cuda, got 'abacus'"),
         ({"ppo": {**PPO_SETTINGS, "batch_size": 64}}, "at most n_steps .* = 32, got 64"),
+        ({"ppo": {**PPO_SETTINGS, "use_sde": True}}, "expected continuous actions, got Discrete"),
         ({"env_config": {"lanes_cont": 2}}, "unknown key 'lanes_cont'; did you mean 'lanes_count'"),
         (
             {"env_config": {"collision_reward": "much"}},
