@@ -1,11 +1,18 @@
-"""What comes with the package and how it drives: a page for all agents, a model card for each."""
+"""What comes with the package and how it drives: a page for all agents, a model card for each.
+
+An agent's line of the page lies beside its weights, so that the zoo can grow scenario by scenario,
+and the page says what is in it.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
+from shutil import rmtree
+from typing import Any
 
-from esc_agents import files
+from esc_agents import files, pretrained
 from esc_agents.compare import store
 from esc_agents.compare.films import shown, together
 from esc_agents.compare.grid import EPISODES
@@ -18,16 +25,13 @@ from esc_agents.driving.rule_driver import RULE
 from esc_agents.errors import say
 from esc_agents.reporting.tables import markdown
 from esc_agents.training.run_directory import commands, write_checksums
-from esc_agents.zoo.keeping import Kept, best_of, keep
+from esc_agents.zoo.keeping import RIVAL, Kept, best_of, keep
 
-COLUMNS = (
-    "agent", "return", "crashes", "arrived", "speed m/s", "best blind policy", RULE,
-    "above both", "steps", "minutes",
-)  # fmt: skip
+ROW = "row.json"  # an agent's line of the page, and what made it
 TEXT = """# The zoo
 
-Agents that come with the package. Each row: the final policies of {seeds} runs of the scenario's
-recipe, {episodes} episodes each from seed {first:,} on, which no training saw; brackets hold 95 %
+Agents that come with the package. Each row: the final policies of so many runs of the scenario's
+recipe, with as many episodes each from seed {first:,} on, which no training saw; brackets hold 95 %
 intervals over all of these episodes. The agent that is kept is the run which was best at its own
 evaluations in training. "Above both": the interval of the return lies above those of every policy
 that never looks, and of IDM/MOBIL, on the same episodes. Minutes: of one run, measured.
@@ -51,42 +55,63 @@ trained with {algo} for {steps:,} steps.
 
 
 def publish(comparison: Path, docs: Path) -> list[Kept]:
-    """Put a comparison's best agents into the zoo, and write ``docs``/zoo.md with their films."""
+    """Put a comparison's best agents into the zoo, in place of what the zoo had for its scenarios,
+    and write ``docs``/zoo.md, of all agents that are there, with their films.
+    """
     agents, made_by = best_of(comparison), commands(comparison)
+    for name in {agent.task.settings["env"] for agent in agents}:
+        rmtree(pretrained.folder() / f"{name}-{RIVAL}", ignore_errors=True)
     for agent in agents:
         run = store.run_folder(comparison, agent.chosen.cell)
         folder = keep(run, agent.name)
         files.write_text(folder / "README.md", card(agent, made_by))
+        versions = sorted({flow(run.made_with) for run in agent.runs})
+        made = {"made_by": made_by, "made_with": versions}
+        files.write_json(folder / ROW, {"columns": row(agent), **made})
         write_checksums(folder)
         (docs / "zoo").mkdir(parents=True, exist_ok=True)
         _film(agent, folder, docs / "zoo" / f"{agent.name}.gif")
         say(f"{folder}: {agent.chosen.cell.name} of {agent.task.folder}")
-    files.write_text(docs / "zoo.md", page(agents, made_by))
+    files.write_text(docs / "zoo.md", page())
     say(f"Written: {docs / 'zoo.md'}")
     return agents
 
 
-def page(agents: Sequence[Kept], made_by: Sequence[str]) -> str:
-    """docs/zoo.md. made_by: the commands that trained and evaluated them."""
-    first = agents[0]
-    text = TEXT.format(seeds=len(first.runs), episodes=len(first.chosen.drives[""]), first=EPISODES)
-    versions = sorted({flow(run.made_with) for agent in agents for run in agent.runs})
-    table = markdown([COLUMNS, *map(row, agents)])
-    films = [f"### {a.name}\n\n![{a.name}, one episode](zoo/{a.name}.gif)" for a in agents]
-    made = "\n".join(f"- `{line}`" for line in [*made_by, *versions])
+def page() -> str:
+    """docs/zoo.md: all agents of the zoo that a comparison brought there."""
+    found = {name: pretrained.folder() / name / ROW for name in pretrained.names()}
+    rows = {
+        name: json.loads(path.read_text(encoding="utf-8"))
+        for name, path in found.items()
+        if path.is_file()
+    }
+    columns = next(iter(rows.values()))["columns"]
+    table = markdown([tuple(columns), *(list(row["columns"].values()) for row in rows.values())])
+    films = [f"### {name}\n\n![{name}, one episode](zoo/{name}.gif)" for name in rows]
+    lines = [line for key in ("made_by", "made_with") for row in rows.values() for line in row[key]]
+    made = "\n".join(f"- `{line}`" for line in dict.fromkeys(lines))
+    text = TEXT.format(first=EPISODES)
     parts = [text, table, f"Made by, and with:\n\n{made}", "## Films", *films]
     return "\n".join(f"{part.strip()}\n" for part in parts)
 
 
-def row(agent: Kept) -> list[str]:
-    """An agent's line of the table."""
+def row(agent: Kept) -> dict[str, Any]:
+    """An agent's line of the table, by column."""
     summary, (blind, rule) = agent.summary, rivals(agent)
     minutes = sum(run.seconds for run in agent.runs) / len(agent.runs) / 60
-    return [
-        agent.name, return_of(summary), crashes(summary), arrivals(summary),
-        f"{summary.speed:.1f}", said(blind), said(rule) if rule else "cannot drive",
-        "yes" if above(agent) else "no", f"{steps(agent):,}", f"{minutes:.0f}",
-    ]  # fmt: skip
+    return {
+        "agent": agent.name,
+        "return": return_of(summary),
+        "crashes": crashes(summary),
+        "arrived": arrivals(summary),
+        "speed m/s": f"{summary.speed:.1f}",
+        "best blind policy": said(blind),
+        RULE: said(rule) if rule else "cannot drive",
+        "above both": "yes" if above(agent) else "no",
+        "runs x episodes": f"{len(agent.runs)} x {len(agent.chosen.drives[''])}",
+        "steps": f"{steps(agent):,}",
+        "minutes": f"{minutes:.0f}",
+    }
 
 
 def rivals(agent: Kept) -> tuple[Summary, Summary | None]:
