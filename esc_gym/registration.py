@@ -145,7 +145,10 @@ def merge_config(default: dict[str, Any], changes: Mapping[str, Any]) -> dict[st
             raise ValueError(f"config[{key!r}]: expected a mapping, got {changes[key]!r}.")
         _check(key, default.get(key), changes[key])
     merged = merge(default, changes)
-    _check_action(merged["action"], {*changes.get("action", {})} - {*default["action"]})
+    action, usual = merged["action"], default["action"]
+    # Some ids' own configurations have keys that their kind of action does not know.
+    own = usual if action["type"] == usual["type"] else {}
+    _check_action(action, {*changes.get("action", {})} - {*own})
     lane, lanes = merged.get("initial_lane_id"), merged.get("lanes_count")
     whole = isinstance(lane, int | np.integer)
     if lane is not None and lanes is not None and not (whole and lane < lanes):
