@@ -174,9 +174,12 @@ def _near(ego: EgoView, other: Any, lanes: float, side: float) -> float:
     return near_along(x) * near_across(y - 4.0 * lanes)
 
 
-def _urgency(ego: EgoView, other: Any) -> float:
-    """1/(1 + t), t seconds to their collision if both keep their velocities; 0 for never."""
-    return 1.0 / (1.0 + time_to(ego.vehicle, other))
+def _urgency(ego: EgoView, other: Any, lanes: float = 0.0) -> float:
+    """1/(1 + t), t seconds to their collision if both keep their velocities; 0 for never.
+
+    lanes: as if the ego were so many lanes to the right.
+    """
+    return 1.0 / (1.0 + time_to(ego.vehicle, other, 4.0 * lanes))
 
 
 VEHICLE_FEATURES: dict[str, VehicleFeature] = {
@@ -210,6 +213,10 @@ VEHICLE_FEATURES: dict[str, VehicleFeature] = {
     "urgency": VehicleFeature("1", _upto(1.0),
                               "1/(1 + t), t seconds to a collision at constant velocities",
                               _urgency),
+    "urgency_left": VehicleFeature("1", _upto(1.0), "urgency, were the ego a lane to the left",
+                                   lambda e, o: _urgency(e, o, -1.0)),
+    "urgency_right": VehicleFeature("1", _upto(1.0), "urgency, were the ego a lane to the right",
+                                    lambda e, o: _urgency(e, o, 1.0)),
 }  # fmt: skip
 
 

@@ -23,8 +23,11 @@ def time_to_collision(env: Any) -> float:
     return min((time_to(ego, other) for other in others), default=inf)
 
 
-def time_to(ego: Any, other: Any) -> float:
-    """Seconds until the ego touches ``other``, both velocities kept; inf if never."""
+def time_to(ego: Any, other: Any, aside: float = 0.0) -> float:
+    """Seconds until the ego touches ``other``, both velocities kept; inf if never.
+
+    aside: the ego is taken to be so far [m] to the right of where it is.
+    """
     c, s = cos(ego.heading), sin(ego.heading)
     turn = other.heading - ego.heading
     along, across = abs(cos(turn)), abs(sin(turn))
@@ -33,7 +36,7 @@ def time_to(ego: Any, other: Any) -> float:
     reach_x = (ego.LENGTH + other.LENGTH * along + other.WIDTH * across) / 2
     reach_y = (ego.WIDTH + other.LENGTH * across + other.WIDTH * along) / 2
     enter_x, leave_x = _overlap(c * x + s * y, c * vx + s * vy, reach_x)
-    enter_y, leave_y = _overlap(c * y - s * x, c * vy - s * vx, reach_y)
+    enter_y, leave_y = _overlap(c * y - s * x - aside, c * vy - s * vx, reach_y)
     enter, leave = max(enter_x, enter_y, 0.0), min(leave_x, leave_y)
     return enter if enter <= leave else inf
 

@@ -20,12 +20,13 @@ from esc_gym.vector.measures import time_to
 # The columns that are known here; their numbers are what the compiled code is told.
 VEHICLE_COLUMNS = (
     "x", "y", "vx", "vy", "cos_h", "sin_h", "obstacle", "length", "width", "cos_d", "sin_d",
-    "near_x", "near_y", "ahead", "behind", "left", "right", "urgency",
+    "near_x", "near_y", "ahead", "behind", "left", "right", "urgency", "urgency_left",
+    "urgency_right",
 )  # fmt: skip
 (
     X, Y, VX, VY, COS_H, SIN_H, IS_OBSTACLE, LENGTH, WIDTH, COS_D, SIN_D,
-    NEAR_X, NEAR_Y, AHEAD, BEHIND, LEFT, RIGHT, URGENCY,
-) = range(18)  # fmt: skip
+    NEAR_X, NEAR_Y, AHEAD, BEHIND, LEFT, RIGHT, URGENCY, URGENCY_LEFT, URGENCY_RIGHT,
+) = range(20)  # fmt: skip
 EGO_COLUMNS = (
     "speed", "lat_off", "cos_lane", "sin_lane", "lanes_left", "lanes_right", "speed_limit",
     "target_speed", "target_lat_off", "lateral_speed", "yaw_rate", "dest_x", "dest_y",
@@ -150,8 +151,9 @@ def vehicle_row(s, view, ego, i, spec, row):
             value = forward(view, goal_x, goal_y)
         elif what == SIN_D:
             value = right(view, goal_x, goal_y)
-        elif what == URGENCY:
-            value = 1.0 / (1.0 + time_to(s, ego, i))
+        elif what >= URGENCY:
+            lanes = 0.0 if what == URGENCY else (-1.0 if what == URGENCY_LEFT else 1.0)
+            value = 1.0 / (1.0 + time_to(s, ego, i, 4.0 * lanes))
         else:
             value = closeness(what, forward(view, dx, dy), right(view, dx, dy))
         row[column] = np.float32((value - spec.center[column]) / spec.half[column])

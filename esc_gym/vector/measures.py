@@ -84,12 +84,12 @@ def time_to_collision(s, ego):
     least = np.inf
     for i in range(s.m):
         if i != ego and s.vehicles[i].solid:
-            least = min(least, time_to(s, ego, i))
+            least = min(least, time_to(s, ego, i, 0.0))
     return least
 
 
 @compiled
-def time_to(s, i, j):
+def time_to(s, i, j, aside):
     """``measures.time_to``."""
     me, other = s.vehicles[i], s.vehicles[j]
     c, d = libm_of(s.np.libm_cos, me.heading), libm_of(s.np.libm_sin, me.heading)
@@ -101,7 +101,7 @@ def time_to(s, i, j):
     reach_x = (me.length + other.length * straight + other.width * across) / 2
     reach_y = (me.width + other.length * across + other.width * straight) / 2
     enter_x, leave_x = overlap(c * x + d * y, c * vx + d * vy, reach_x)
-    enter_y, leave_y = overlap(c * y - d * x, c * vy - d * vx, reach_y)
+    enter_y, leave_y = overlap(c * y - d * x - aside, c * vy - d * vx, reach_y)
     enter, leave = max(enter_x, enter_y, 0.0), min(leave_x, leave_y)
     return enter if enter <= leave else np.inf
 

@@ -71,7 +71,8 @@ def test_extra_vehicle_features():
 
 def seen_from_an_ego(*others: tuple[float, float, float]) -> list[dict[str, float]]:
     """Features of vehicles at (x, y) with a speed, seen by an ego that drives along x at 20 m/s."""
-    names = ["near_x", "near_y", "ahead", "behind", "left", "right", "urgency"]
+    names = ["near_x", "near_y", "ahead", "behind", "left", "right"]
+    names += ["urgency", "urgency_left", "urgency_right"]
     env = gym.make("esc_gym/highway-v0", config={"vehicles_count": len(others)}, features=names)
     env.reset(seed=0)
     base: Any = env.unwrapped
@@ -100,5 +101,8 @@ def test_closeness():
     assert (behind["ahead"], behind["behind"], behind["urgency"]) == approx((0.0, 0.2, 0.0))
     assert (beside["right"], beside["near_y"]) == approx((1.0, 1 / 17))
     assert beside["left"] == approx(1 / (1 + 4**4))
+    assert (beside["urgency"], beside["urgency_left"]) == (0.0, 0.0)
+    assert beside["urgency_right"] == approx(1.0)  # in the place where the ego would be
+    assert ahead["urgency_left"] == ahead["urgency_right"] == 0.0
     assert max(far[name] for name in ("near_x", "ahead", "left", "right")) < 0.1
     assert [here[name] for name in ("near_x", "near_y", "ahead", "behind", "urgency")] == [1] * 5

@@ -99,7 +99,10 @@ OBSERVATIONS = {
         "ego_features": ["yaw_rate", "dest_x", "dest_y", "target_speed", "lateral_speed"],
     },
     "closeness": {
-        "features": ["near_x", "near_y", "ahead", "behind", "left", "right", "urgency"],
+        "features": [
+            "near_x", "near_y", "ahead", "behind", "left", "right", "urgency", "urgency_left",
+            "urgency_right",
+        ],
         "frame": "ego",
     },
 }
