@@ -100,7 +100,14 @@ OBSERVATIONS = {
     },
     "closeness": {
         "features": [
-            "near_x", "near_y", "ahead", "behind", "left", "right", "urgency", "urgency_left",
+            "near_x",
+            "near_y",
+            "ahead",
+            "behind",
+            "left",
+            "right",
+            "urgency",
+            "urgency_left",
             "urgency_right",
         ],
         "frame": "ego",
