@@ -134,10 +134,11 @@ def details(tasks: Sequence[Task]) -> Iterator[Block]:
     alt = "Mean return of each representation's final policies, by scenario"
     yield picture("bars", figures.bars(tasks), alt)
     for task in tasks:
-        seeds = sorted({run.cell.seed for repr in task.reprs for run in task.runs(repr)})
+        runs = [run for repr in task.reprs for run in task.runs(repr)]
+        seeds = sorted({run.cell.seed for run in runs})
+        steps = task.settings["steps"] or runs[0].config["steps"]  # None: the scenario's own
         yield Text(
-            f"**{task.name}**, {task.settings['steps']:,} training steps, seeds "
-            f"{', '.join(map(str, seeds))}"
+            f"**{task.name}**, {steps:,} training steps, seeds {', '.join(map(str, seeds))}"
         )
         yield Rows(list(table(task)))
         if sentences := missing(task):

@@ -174,6 +174,15 @@ def test_a_rival_that_did_not_run_everywhere_is_not_dropped(tmp_path):
     assert "| fp |  | 100% |" in text
 
 
+def test_as_many_steps_as_the_scenario_says(tmp_path):
+    store.begin_task(tmp_path, small(steps=None, transfer={}), ENV)
+    store.write_baselines(tmp_path / TASK, baselines())
+    run = result("esc", 0, [5.0])
+    store.write(tmp_path, replace(run, config=run.config | {"steps": 12_345}))
+    write_report(tmp_path)
+    assert "12,345 training steps, seeds 0" in (tmp_path / "report.md").read_text()
+
+
 def test_everything_above_blind(tmp_path):
     text = build(tmp_path, [result("esc", s, [9.0 + s]) for s in range(3)])
     assert "every representation is above the best blind policy" in text
