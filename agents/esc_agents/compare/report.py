@@ -137,9 +137,7 @@ def details(tasks: Sequence[Task]) -> Iterator[Block]:
         runs = [run for repr in task.reprs for run in task.runs(repr)]
         seeds = sorted({run.cell.seed for run in runs})
         steps = task.settings["steps"] or runs[0].config["steps"]  # None: the scenario's own
-        yield Text(
-            f"**{task.name}**, {steps:,} training steps, seeds {', '.join(map(str, seeds))}"
-        )
+        yield Text(f"**{task.name}**, {steps:,} training steps, seeds {', '.join(map(str, seeds))}")
         yield Rows(list(table(task)))
         if sentences := missing(task):
             again = f"Remove `{task.folder.name}/baselines.json` to have it tried again."
