@@ -20,6 +20,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from esc_gym.measures import time_to
 
 Frame = Literal["world", "ego"]
+LANE = 4.0  # AbstractLane.DEFAULT_WIDTH [m]: what "a lane aside" is, on any road
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,7 @@ def _near(ego: EgoView, other: Any, lanes: float, side: float) -> float:
     x, y = _relative(ego, other)
     if x * side < 0.0:
         return 0.0
-    return near_along(x) * near_across(y - 4.0 * lanes)
+    return near_along(x) * near_across(y - LANE * lanes)
 
 
 def _urgency(ego: EgoView, other: Any, lanes: float = 0.0) -> float:
@@ -179,7 +180,7 @@ def _urgency(ego: EgoView, other: Any, lanes: float = 0.0) -> float:
 
     lanes: as if the ego were so many lanes to the right.
     """
-    return 1.0 / (1.0 + time_to(ego.vehicle, other, 4.0 * lanes))
+    return 1.0 / (1.0 + time_to(ego.vehicle, other, LANE * lanes))
 
 
 VEHICLE_FEATURES: dict[str, VehicleFeature] = {

@@ -14,7 +14,7 @@ import numpy as np
 from esc_gym.fastsim.geometry import heading_at, local_coordinates, position
 from esc_gym.fastsim.numerics import compiled, cos, dot, libm_of, outlined, sin
 from esc_gym.fastsim.records import CONTROLLED, NO_LANE, OBSTACLE
-from esc_gym.features import near_across, near_along
+from esc_gym.features import LANE, near_across, near_along
 from esc_gym.vector.measures import time_to
 
 # The columns that are known here; their numbers are what the compiled code is told.
@@ -111,7 +111,7 @@ def closeness(what, x, y):
         return 0.0
     along = 1.0 if what == NEAR_Y else closeness_along(x)
     lanes = 1.0 if what == RIGHT else (-1.0 if what == LEFT else 0.0)
-    return along * (1.0 if what == NEAR_X else closeness_across(y - 4.0 * lanes))
+    return along * (1.0 if what == NEAR_X else closeness_across(y - LANE * lanes))
 
 
 @outlined
@@ -153,7 +153,7 @@ def vehicle_row(s, view, ego, i, spec, row):
             value = right(view, goal_x, goal_y)
         elif what >= URGENCY:
             lanes = 0.0 if what == URGENCY else (-1.0 if what == URGENCY_LEFT else 1.0)
-            value = 1.0 / (1.0 + time_to(s, ego, i, 4.0 * lanes))
+            value = 1.0 / (1.0 + time_to(s, ego, i, LANE * lanes))
         else:
             value = closeness(what, forward(view, dx, dy), right(view, dx, dy))
         row[column] = np.float32((value - spec.center[column]) / spec.half[column])

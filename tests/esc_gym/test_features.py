@@ -104,5 +104,8 @@ def test_closeness():
     assert (beside["urgency"], beside["urgency_left"]) == (0.0, 0.0)
     assert beside["urgency_right"] == approx(1.0)  # in the place where the ego would be
     assert ahead["urgency_left"] == ahead["urgency_right"] == 0.0
+    (slower,) = seen_from_an_ego((20, -4, 10))  # as ahead, a lane to the left
+    assert slower["urgency_left"] == approx(1 / (1 + 15 / 10))
+    assert (slower["urgency"], slower["urgency_right"]) == (0.0, 0.0)
     assert max(far[name] for name in ("near_x", "ahead", "left", "right")) < 0.1
     assert [here[name] for name in ("near_x", "near_y", "ahead", "behind", "urgency")] == [1] * 5

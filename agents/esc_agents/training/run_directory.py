@@ -45,7 +45,7 @@ def create(path: Path, config: TrainConfig, wrapper: dict[str, Any], device: str
     try:
         rmtree(made, ignore_errors=True)  # of a killed process that had our number
         (made / "checkpoints").mkdir(parents=True)
-        _note_config(made, config, path)
+        note_config(made, config, path)
         note_command(made)
         files.write_json(made / "versions.json", files.versions() | {"device": device})
         files.write_json(made / "wrapper.json", wrapper)
@@ -92,11 +92,12 @@ def note_session(path: Path, config: TrainConfig) -> None:
     """Keep what this session, which resumes a run, is to do, and add its command."""
     for name in (CHECKSUMS, RESULTS):  # of a session that has ended; now it is not finished
         (path / name).unlink(missing_ok=True)
-    _note_config(path, config, path)
+    note_config(path, config, path)
     note_command(path)
 
 
-def _note_config(folder: Path, config: TrainConfig, path: Path) -> None:
+def note_config(folder: Path, config: TrainConfig, path: Path) -> None:
+    """Write config.yaml into ``folder``, which is to be found at ``path``."""
     text = f"# esc-train --config {path}/config.yaml\n# mac: {strangers.BLANK}\n{dump(config)}"
     files.write_text(folder / "config.yaml", strangers.signed(text))
 

@@ -51,7 +51,7 @@ def keep(run: Path, name: str) -> Path:
     """
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
         raise UserError(f"name: expected words as in highway-dense, got {name!r}")
-    run_directory.open_run(run)
+    config = run_directory.open_run(run)
     if not run_directory.finished(run):
         raise UserError(f"{run} is not finished; continue it with esc-train --resume {run}")
     run_directory.verify(run, *KEPT)
@@ -60,6 +60,7 @@ def keep(run: Path, name: str) -> Path:
     folder.mkdir(parents=True)
     for file in KEPT:
         copyfile(run / file, folder / file)
+    run_directory.note_config(folder, config, Path("zoo") / name)
     run_directory.write_checksums(folder)
     return folder
 

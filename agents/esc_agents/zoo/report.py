@@ -7,7 +7,7 @@ and the page says what is in it.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
@@ -59,19 +59,19 @@ def publish(comparison: Path, docs: Path) -> list[Kept]:
     and write ``docs``/zoo.md, of all agents that are there, with their films.
     """
     agents, made_by = best_of(comparison), commands(comparison)
-    for name in {agent.task.settings["env"] for agent in agents}:
-        rmtree(pretrained.folder() / f"{name}-{RIVAL}", ignore_errors=True)
     for agent in agents:
         run = store.run_folder(comparison, agent.chosen.cell)
         folder = keep(run, agent.name)
         files.write_text(folder / "README.md", card(agent, made_by))
-        versions = sorted({flow(run.made_with) for run in agent.runs})
-        made = {"made_by": made_by, "made_with": versions}
+        made = {"made_by": made_by, "made_with": [run.made_with for run in agent.runs]}
         files.write_json(folder / ROW, {"columns": row(agent), **made})
         write_checksums(folder)
         (docs / "zoo").mkdir(parents=True, exist_ok=True)
         _film(agent, folder, docs / "zoo" / f"{agent.name}.gif")
         say(f"{folder}: {agent.chosen.cell.name} of {agent.task.folder}")
+    for name in {f"{a.task.settings['env']}-{RIVAL}" for a in agents} - {a.name for a in agents}:
+        rmtree(pretrained.folder() / name, ignore_errors=True)  # is no longer better
+        (docs / "zoo" / f"{name}.gif").unlink(missing_ok=True)
     files.write_text(docs / "zoo.md", page())
     say(f"Written: {docs / 'zoo.md'}")
     return agents
@@ -85,14 +85,24 @@ def page() -> str:
         for name, path in found.items()
         if path.is_file()
     }
-    columns = next(iter(rows.values()))["columns"]
-    table = markdown([tuple(columns), *(list(row["columns"].values()) for row in rows.values())])
+    lines = [row["columns"] for row in rows.values()]
+    columns = list(dict.fromkeys(column for line in lines for column in line))
+    table = markdown([columns, *([line.get(column, "") for column in columns] for line in lines)])
     films = [f"### {name}\n\n![{name}, one episode](zoo/{name}.gif)" for name in rows]
-    lines = [line for key in ("made_by", "made_with") for row in rows.values() for line in row[key]]
-    made = "\n".join(f"- `{line}`" for line in dict.fromkeys(lines))
+    made_by = dict.fromkeys(command for row in rows.values() for command in row["made_by"])
+    made = "\n".join(f"- `{line}`" for line in [*made_by, *_versions(rows.values())])
     text = TEXT.format(first=EPISODES)
     parts = [text, table, f"Made by, and with:\n\n{made}", "## Films", *films]
     return "\n".join(f"{part.strip()}\n" for part in parts)
+
+
+def _versions(rows: Iterable[dict[str, Any]]) -> list[str]:
+    """Each set of versions once, with all commits of this package that were run with it."""
+    found: dict[str, set[str]] = {}
+    for made_with in (made for row in rows for made in row["made_with"]):
+        others = {name: version for name, version in made_with.items() if name != "commit"}
+        found.setdefault(flow(others), set()).add(made_with.get("commit", "unknown"))
+    return [f"{versions}, commits: {', '.join(sorted(c))}" for versions, c in found.items()]
 
 
 def row(agent: Kept) -> dict[str, Any]:

@@ -46,6 +46,9 @@ def test_a_comparison_is_published(compared, call, tmp_path):
     made_by = (compared / "command.txt").read_text().splitlines()[0]
     assert f"- `{made_by}`" in page
     assert (tmp_path / "docs" / "zoo" / f"{ENV}.gif").read_bytes()[:6] == b"GIF89a"
+    assert page.count("esc-gym: ") == 1  # all runs had the same versions
+    config = (tmp_path / "zoo" / ENV / "config.yaml").read_text()
+    assert config.startswith(f"# esc-train --config zoo/{ENV}/config.yaml\n")
     card = (tmp_path / "zoo" / ENV / "README.md").read_text()
     assert f"Drives `{ENV}`" in card
     assert f"Trained and evaluated by: `{made_by}`; seed" in card
@@ -75,6 +78,17 @@ def test_the_rival_is_kept_only_where_it_is_better(compared, monkeypatch):
 
     assert shifted(100.0) == [ENV, f"{ENV}-attention"]
     assert shifted(-100.0) == [ENV]
+
+
+def test_a_rival_that_is_no_longer_better_leaves(compared, tmp_path, monkeypatch, call):
+    ours = best_of(compared)[:1]
+    rival = replace(ours[0], name=f"{ENV}-attention")
+    for agents, expected in (([*ours, rival], [ENV, rival.name]), (ours, [ENV])):
+        monkeypatch.setattr("esc_agents.zoo.report.best_of", lambda out, found=agents: found)
+        assert call(keep_cli, compared, "--docs", "docs")[0] == 0
+        assert zoo.names() == expected
+        assert sorted(p.stem for p in (tmp_path / "docs" / "zoo").glob("*.gif")) == expected
+        assert ("attention" in (tmp_path / "docs" / "zoo.md").read_text()) == (len(expected) == 2)
 
 
 def test_above_both_is_above_all(compared):
