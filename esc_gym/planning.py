@@ -4,27 +4,43 @@
     values = planner.values(envs)  # [num_envs, A]
     envs.step(planner.actions(envs))
 
-The copies hold the simulator's whole state: what the other drivers want, and the random numbers
-still to be drawn. So this is what a driver could reach who knew all, a reference and a teacher; it
-is no driver that one could put on a road.
+With ``knows="all"`` the copies hold the simulator's whole state: what the other drivers want, and
+the random numbers still to be drawn. That is what a driver could reach who knew all: a reference
+and a teacher, and no driver that one could put on a road. With ``knows="observed"`` they hold what
+can be seen, and what is not seen is guessed: see ``guess``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
+from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 
+from esc_gym.fastsim.kernel import EGO, ITEMS, VEHICLES
+from esc_gym.fastsim.records import CONTROLLED, IDM, LINEAR, NO_LANE
+from esc_gym.fastsim.traits import TRAITS_OF
 from esc_gym.vector.arguments import indices_of
 from esc_gym.vector.environment import SetVectorEnv
-from esc_gym.vector.state import RUNNING
+from esc_gym.vector.generators import row
+from esc_gym.vector.state import ROAD, RUNNING, State
 
 NEUTRAL = "IDLE"
+Knowledge = Literal["all", "observed"]
+# What a driver wants who is held up, as a share of the limit: drivers that highway-env makes at
+# random want 0.7 to 0.8 of it (Vehicle.create_random).
+WISH = 0.75
+NOMINAL = {
+    trait: getattr(IDMVehicle, attribute)
+    for trait, attribute in TRAITS_OF[IDM].items()
+    if attribute.isupper() and trait not in TRAITS_OF[CONTROLLED]
+}
+"""Traits of a driver of whom nothing is known, by the names of ``fastsim.records``."""
 
 
 @dataclass(frozen=True)
@@ -33,18 +49,28 @@ class LookAhead:
 
     horizon: policy steps looked ahead, the first action's included. continuations: names of
     meta-actions, of which each is tried after the first action; the best one counts. discount:
-    gamma, of the rewards.
+    gamma, of the rewards. knows: "all", or only what is "observed"; then in ``futures`` guesses of
+    the rest, over which returns are averaged. seed: of the guesses, which depend on it, and on an
+    environment's own seed and time, and on nothing else.
 
-    Raises ValueError for a horizon below 1, a discount out of [0, 1], or no continuation.
+    Raises ValueError for a horizon or futures below 1, a discount out of [0, 1], no continuation,
+    or another kind of knowledge.
     """
 
     horizon: int = 6
     continuations: tuple[str, ...] = ("IDLE", "SLOWER")
     discount: float = 1.0
+    knows: Knowledge = "all"
+    futures: int = 4
+    seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.horizon < 1:
-            raise ValueError(f"horizon: expected at least 1 step, got {self.horizon}")
+        for name in ("horizon", "futures"):
+            if (number := getattr(self, name)) < 1:
+                raise ValueError(f"{name}: expected at least 1, got {number}")
+        if self.knows not in get_args(Knowledge):
+            expected = " or ".join(map(repr, get_args(Knowledge)))
+            raise ValueError(f"knows: expected {expected}, got {self.knows!r}")
         if not 0.0 <= self.discount <= 1.0:
             raise ValueError(f"discount: expected a number from 0 to 1, got {self.discount}")
         if not self.continuations:
@@ -72,10 +98,16 @@ class LookAhead:
         """
         chosen = indices_of(range(envs.num_envs) if indices is None else indices, envs.num_envs)
         plans = self.sequences(envs)
-        count = plans.shape[0] * plans.shape[1]
+        tried, futures = plans.shape[:2], 1
+        if self.knows == "observed":
+            futures = self.futures
+            envs = guess(envs, np.repeat(chosen, futures), self.seed)
+            chosen = np.arange(envs.num_envs)
+        count = tried[0] * tried[1]
         actions = np.tile(plans.reshape(count, self.horizon), (len(chosen), 1))
         returns = rollouts(envs, np.repeat(chosen, count), actions, self.discount)
-        return returns.reshape(len(chosen), *plans.shape[:2]).max(axis=2)
+        # What is done next has to be chosen before it is known which of the futures comes.
+        return returns.reshape(-1, futures, *tried).mean(axis=1).max(axis=2)
 
     def actions(self, envs: SetVectorEnv) -> NDArray[np.int64]:
         """The best action of each environment; of equally good ones IDLE, else the first."""
@@ -102,6 +134,69 @@ def rollouts(envs: SetVectorEnv, indices: Any, actions: NDArray, discount: float
         copies.rest(terminated | truncated)
     copies.close()
     return returns
+
+
+def guess(envs: SetVectorEnv, indices: Any, seed: int) -> SetVectorEnv:
+    """Copies of environments in which everything is a guess that their egos cannot see.
+
+    Seen are the road, and position, heading, speed, size and lane of everyone within the perception
+    distance; the others are not there. Drivers are IDM and MOBIL's as they are by default, keep to
+    the lane that they are on, and want to go as fast as they do, or if they are held up as fast as
+    drivers mostly want. Where they turn off, when they next think of changing lanes, and who comes
+    next is drawn at random, for each copy anew.
+    """
+    copies = envs.fork(indices)
+    state, network = copies.engine.state, copies.engine.network
+    drawn: dict[int, int] = {}
+    for e, index in enumerate(np.asarray(indices).tolist()):
+        drawn[index] = again = drawn.get(index, -1) + 1
+        head = state.heads[e]
+        entropy = [seed, again, int(head["seed"]) + 1, int(head["elapsed"])]
+        generator = np.random.default_rng(entropy)
+        _leave_out(state, e, envs.set_spec.perception_distance)
+        _guess_drivers(state, e, network, generator)
+        state.generators[e, ROAD] = row(generator)
+    return copies
+
+
+def _leave_out(state: State, e: int, distance: float) -> None:
+    """Take away the vehicles that the ego of environment ``e`` cannot see."""
+    count, items, _, ego = state.counts[e]
+    vehicles = state.vehicles[e]
+    me = vehicles[ego]
+    seen = np.hypot(vehicles["x"][:count] - me["x"], vehicles["y"][:count] - me["y"]) <= distance
+    kept = np.flatnonzero(np.append(seen, np.ones(items - count, bool)))
+    for array in (vehicles, state.routes[e], state.ids[e]):
+        array[: len(kept)] = array[kept]
+    state.counts[e, [VEHICLES, ITEMS, EGO]] = seen.sum(), len(kept), seen[:ego].sum()
+
+
+def _guess_drivers(state: State, e: int, network: Any, generator: np.random.Generator) -> None:
+    """What those who are left in environment ``e`` want, and how they drive."""
+    count, _, _, ego = state.counts[e]
+    vehicles, lanes = state.vehicles[e], network.records
+    kinds = vehicles["kind"][:count]
+    others = np.flatnonzero(((kinds == IDM) | (kinds == LINEAR)) & (np.arange(count) != ego))
+    theirs = vehicles[others]
+    theirs["kind"], theirs["target_lane"] = IDM, theirs["lane"]
+    own = lanes[theirs["lane"]]
+    wished = np.where(own["limited"], WISH * own["speed_limit"], 0.0)
+    theirs["target_speed"] = np.maximum(theirs["speed"], wished)
+    for name, value in NOMINAL.items():
+        theirs[name] = value
+    theirs["timer"] = generator.uniform(0.0, IDMVehicle.LANE_CHANGE_DELAY, len(theirs))
+    theirs["yielding"] = theirs["yield_timer"] = 0
+    road, length = own["road"], state.routes.shape[2]
+    theirs["route_taken"], theirs["route_length"] = 0, length
+    after = np.append(network.exits, -1)  # there may be none
+    for step in range(length):
+        state.routes[e, others, step] = np.stack([road, np.full_like(road, NO_LANE)], axis=1)
+        count = lanes["exits_count"][road]
+        ends = (count == 0) & (theirs["route_length"] == length)
+        theirs["route_length"][ends] = step + 1
+        turn = lanes["exits"][road] + generator.integers(np.maximum(count, 1))
+        road = np.where(count > 0, after[turn], road)
+    vehicles[others] = theirs
 
 
 def meta_actions(envs: SetVectorEnv) -> dict[str, int]:

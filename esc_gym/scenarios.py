@@ -26,7 +26,10 @@ from esc_gym.features import DEFAULT_EGO_FEATURES, Frame
 
 ROUTE = ("dest_x", "dest_y")
 DYNAMICS = ("lateral_speed", "yaw_rate")
-_STEER = ("speed", "lat_off", "cos_lane", "sin_lane", "speed_limit", *DYNAMICS)
+_STEER = (
+    "speed", "lat_off", "cos_lane", "sin_lane", "lanes_left", "lanes_right", "speed_limit",
+    *DYNAMICS,
+)  # fmt: skip
 _LANE_CHANGE_REWARD = "its reward compares the action with the meta-actions 0 and 2"
 _TARGET_SPEED_REWARD = "its reward reads the target speeds of a meta-action vehicle"
 

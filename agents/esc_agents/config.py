@@ -29,6 +29,7 @@ SCHEMA = 1  # of the YAML files
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]  # what NumPy takes
 Schedule = Literal["constant", "linear"]
+Algorithm = Literal["ppo", "sac"]
 
 
 def flow(value: Any) -> str:
@@ -114,6 +115,8 @@ class ContinuousConfig(Model):
     """Reward per policy step for 30 m/s along the lane; less, or negative, in proportion."""
     offroad_terminal: bool = False
     """End the episode where the ego leaves the road."""
+    steps: PositiveInt | None = None
+    """Training steps; default: the scenario's. SAC gets more out of each, and takes longer."""
 
 
 class AlgorithmConfig(Model):
@@ -191,7 +194,7 @@ class TrainConfig(Model):
     """highway-env id (highway-v0), or the name of a scenario (highway-dense)."""
     repr: str = "esc"
     """Representation: esc, fp, ap, mean, max, attention, or module:Class."""
-    algo: Literal["ppo", "sac"] = "ppo"
+    algo: Algorithm = "ppo"
     """sac drives with throttle and steering (`continuous`); ppo as the scenario says."""
     steps: PositiveInt = 100_000
     """Training steps over all environments; PPO ends with a whole rollout."""
@@ -289,6 +292,12 @@ def config_for_env(env: str) -> TrainConfig:
     family = env.rpartition("-v")[0]
     base = load_config(known[family], trust=True) if family in known else TrainConfig()
     return base.model_copy(update={"env": env})
+
+
+def with_algorithm(config: TrainConfig, algo: Algorithm) -> TrainConfig:
+    """A scenario with another algorithm than its own, and as many steps as it has for that."""
+    own = config.continuous.steps if algo == "sac" and config.continuous else None
+    return config.model_copy(update={"algo": algo, "steps": own or config.steps})
 
 
 def check_env_id(env: str) -> None:

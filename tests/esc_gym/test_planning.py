@@ -1,12 +1,14 @@
 """Looking ahead, beside the same plans in deep copies of what highway-env simulates."""
 
 from copy import deepcopy
+from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from highway_env.vehicle.behavior import IDMVehicle
 
-from esc_gym.planning import LookAhead, meta_actions, rollouts
+from esc_gym.planning import LookAhead, guess, meta_actions, rollouts
 from tests.esc_gym.vector.stock import batch, stock
 
 IDS = ["esc_gym/highway-fast-v0", "esc_gym/merge-v0", "esc_gym/intersection-v0"]
@@ -92,6 +94,62 @@ def test_nothing_is_earned_after_the_end():
     np.testing.assert_array_equal(longer, whole)
 
 
+def after_a_step(envs):
+    """Where the others will be."""
+    copies = envs.fork([0, 1])
+    copies.step(np.ones(2, int))
+    return copies.engine.state.vehicles["x"]
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_guesses_do_not_depend_on_what_cannot_be_seen(env_id):
+    envs, _ = driven(env_id)
+    planner = LookAhead(knows="observed", seed=3)
+    before = envs.snapshot()
+    guessed, goes_on = planner.values(envs), after_a_step(envs)
+    assert envs.snapshot() == before
+    state = envs.engine.state
+    for e, (n, _, _, ego) in enumerate(state.counts):
+        others = np.delete(np.arange(n), ego)
+        for name, value in {
+            "target_speed": 3.0, "delta": 2.0, "timer": 0.77, "politeness": 0.5, "yielding": 1,
+            "route_length": 0,
+        }.items():  # fmt: skip
+            state.vehicles[name][e, others] = value
+    assert (after_a_step(envs) != goes_on).any()
+    np.testing.assert_array_equal(planner.values(envs), guessed)
+    np.testing.assert_array_equal(planner.values(envs, [1]), guessed[1:])  # whoever is beside
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_guesses_hold_what_can_be_seen(env_id):
+    envs, (stock_env, _) = driven(env_id, perception_distance=50)
+    copies = guess(envs, [0, 0, 0], seed=0)
+    ego, road = stock_env.unwrapped.vehicle, stock_env.unwrapped.road
+    seen = [v for v in road.vehicles if np.hypot(*(v.position - ego.position)) <= 50]
+    assert len(seen) > 1
+    routes = set()
+    for copy in range(3):
+        base = copies.materialise(copy).unwrapped
+        assert len(base.road.vehicles) == len(seen)
+        assert len(base.road.objects) == len(road.objects)
+        assert base.road.vehicles.index(base.vehicle) == seen.index(ego)
+        for there, here in zip(seen, base.road.vehicles, strict=True):
+            for name in ("position", "heading", "speed", "lane_index", "LENGTH", "WIDTH"):
+                np.testing.assert_array_equal(getattr(here, name), getattr(there, name))
+            if here is base.vehicle:
+                assert here.target_speed == ego.target_speed
+                continue
+            assert here.target_lane_index == there.lane_index
+            assert here.target_speed >= there.speed
+            assert here.DELTA == IDMVehicle.DELTA
+            for (_, end, _), (start, *_) in pairwise(here.route):
+                assert end == start  # roads that follow each other
+            assert here.route[0][:2] == here.lane_index[:2]
+        routes.add(str([v.route for v in base.road.vehicles]))
+    assert (len(routes) > 1) == (env_id == "esc_gym/intersection-v0")
+
+
 def test_the_best_action_is_taken_and_idle_among_equals(monkeypatch):
     envs, _ = driven(IDS[0], steps=0)
     values = np.array([[3.0, 3.0, 1.0, 0.0, 0.0], [0.0, 1.0, 2.0, 2.0, 0.0]])
@@ -102,7 +160,9 @@ def test_the_best_action_is_taken_and_idle_among_equals(monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"horizon": 0}, "horizon: expected at least 1 step, got 0"),
+        ({"horizon": 0}, "horizon: expected at least 1, got 0"),
+        ({"futures": 0}, "futures: expected at least 1, got 0"),
+        ({"knows": "some"}, "knows: expected 'all' or 'observed', got 'some'"),
         ({"discount": 1.5}, "discount: expected a number from 0 to 1, got 1.5"),
         ({"continuations": ()}, "continuations: expected at least one name of a meta-action"),
     ],

@@ -5,9 +5,17 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import get_args
 
 from esc_agents.cli import Trust, guarded, parse
-from esc_agents.config import TrainConfig, config_for_env, load_config, scenarios
+from esc_agents.config import (
+    Algorithm,
+    TrainConfig,
+    config_for_env,
+    load_config,
+    scenarios,
+    with_algorithm,
+)
 from esc_agents.errors import UserError
 from esc_gym.registration import merge
 
@@ -57,6 +65,7 @@ def _base(args: list[str]) -> TrainArguments:
     early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for flag in ("--config", "--env", "--resume"):
         early.add_argument(flag)
+    early.add_argument("--algo", choices=get_args(Algorithm))
     early.add_argument("--trust", action=argparse.BooleanOptionalAction, default=False)
     try:
         given, _ = early.parse_known_args(args)
@@ -66,10 +75,13 @@ def _base(args: list[str]) -> TrainArguments:
         from esc_agents.training.run_directory import open_run
 
         base = open_run(Path(given.resume), given.trust)
-    elif given.config is not None:
+        return TrainArguments.model_construct(**dict(base))
+    if given.config is not None:
         base = load_config(given.config, given.trust)
     else:
         base = config_for_env(TrainConfig().env if given.env is None else given.env)
+    if given.algo not in (None, base.algo):
+        base = with_algorithm(base, given.algo)
     return TrainArguments.model_construct(**dict(base))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 from pydantic import (
@@ -16,7 +16,15 @@ from pydantic import (
     field_validator,
 )
 
-from esc_agents.config import Mapping, Model, TrainConfig, config_for_env, explain
+from esc_agents.config import (
+    Algorithm,
+    Mapping,
+    Model,
+    TrainConfig,
+    config_for_env,
+    explain,
+    with_algorithm,
+)
 from esc_agents.errors import UserError
 from esc_gym.encoders import APEncoder, representation
 from esc_gym.registration import merge
@@ -56,7 +64,7 @@ class CompareConfig(Model):
     """Scenarios or highway-env ids."""
     repr: Annotated[tuple[str, ...], Many, Field(min_length=1)] = ("esc", "fp", "ap", "attention")
     """Representations: esc, fp, ap, mean, max, attention, or module:Class."""
-    algo: Literal["ppo", "sac"] = "ppo"
+    algo: Algorithm = "ppo"
     """sac drives with throttle and steering; ppo as the scenario says."""
     seeds: Annotated[int, Field(ge=1, lt=TUNING_SEED)] = 5
     """Runs of each representation in each scenario, with seeds 0, 1, 2, ..."""
@@ -192,7 +200,9 @@ def scenario(config: CompareConfig, env: str, traffic: str = "") -> TrainConfig:
     """A scenario with the comparison's algorithm and ``train``, in its own or other traffic."""
     if own := sorted(OWN & config.train.keys()):
         raise UserError(f"train: {', '.join(own)}: set by the comparison itself; leave it out")
-    base = changed(config_for_env(env), {"device": "cpu", "algo": config.algo, **config.train})
+    base = changed(
+        with_algorithm(config_for_env(env), config.algo), {"device": "cpu", **config.train}
+    )
     if traffic:
         other = config.transfer[env][traffic]
         base = changed(base, {"env_config": merge(base.env_config, other)})

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import Field, NonNegativeInt, PositiveInt
 
 from esc_agents.compare.grid import OWN, TUNING_EPISODES, TUNING_SEED, changed
-from esc_agents.config import Mapping, Model, Seed, TrainConfig, config_for_env
+from esc_agents.config import (
+    Algorithm,
+    Mapping,
+    Model,
+    Seed,
+    TrainConfig,
+    config_for_env,
+    with_algorithm,
+)
 from esc_agents.errors import UserError
 
 EVALUATIONS = 10  # of each run, at equal distances
@@ -21,7 +29,7 @@ class TuneConfig(Model):
     """Scenario or highway-env id."""
     repr: str = "esc"
     """Representation: esc, fp, ap, mean, max, attention, or module:Class."""
-    algo: Literal["ppo", "sac"] = "ppo"
+    algo: Algorithm = "ppo"
     """sac drives with throttle and steering; ppo as the scenario says."""
     space: Mapping = Field(default_factory=dict)
     """{key of a training run: {low: 1, high: 8, log: true} or {choices: [1, 8]}}."""
@@ -53,8 +61,8 @@ def scenario(config: TuneConfig) -> TrainConfig:
     searched = {key.partition(".")[0] for key in config.space}
     if own := sorted(OWN & searched | (OWN - {"steps"}) & config.train.keys()):
         raise UserError(f"{', '.join(own)}: set by the search itself; leave it out")
-    fields = {"device": "cpu", "repr": config.repr, "algo": config.algo, **config.train}
-    return changed(config_for_env(config.env), fields)
+    fields = {"device": "cpu", "repr": config.repr, **config.train}
+    return changed(with_algorithm(config_for_env(config.env), config.algo), fields)
 
 
 def train_config(

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from esc_agents.cli import _one_line, eval as eval_cli, train as train_cli
+from esc_agents.config import load_config
 from esc_agents.training.run_directory import open_run
 
 FAST = [
@@ -56,6 +57,19 @@ def test_flags_override_the_scenario(monkeypatch):
     assert config.env_config["vehicles_count"] == 40  # what the scenario says stays
     assert config.observation.ranges["x"] == (-30.0, 30.0)
     assert config.encoder.arguments == {"scale": 0.1}
+
+
+def test_steps_of_the_other_algorithm(monkeypatch, tmp_path):
+    """A scenario's steps are PPO's, and continuous.steps SAC's; a file's are what it says."""
+    ppo, sac = load_config("highway").steps, load_config("highway").continuous.steps
+    for args, steps in {
+        ("--algo", "ppo"): ppo, ("--algo", "sac"): sac, ("--algo", "sac", "--steps", 7): 7,
+    }.items():  # fmt: skip
+        assert parsed(monkeypatch, "--env", "highway", *args).steps == steps
+    file = tmp_path / "own.yaml"
+    file.write_text("algo: sac\nsteps: 9\ncontinuous: {steps: 11}\n")
+    assert parsed(monkeypatch, "--config", file, "--algo", "sac").steps == 9
+    assert sac < ppo
 
 
 def test_nested_env_config_is_merged(monkeypatch):
@@ -158,6 +172,7 @@ def test_bad_input_of_train(name, call, tmp_path):
     [
         (["--seed", "3"], "got seed"),
         (["--env", "highway-v0"], "got env"),
+        (["--algo", "sac"], "got algo"),
         (["--env-config", "{lanes_count: 2}"], "got env_config"),
         (["--run-dir", "other"], "got run_dir"),
         ([], "has 32 of 32 steps already; ask for more with --steps"),
