@@ -48,18 +48,22 @@ class LookAhead:
     """Exhaustive look-ahead: each action once, then one of a few actions to the horizon.
 
     horizon: policy steps looked ahead, the first action's included. continuations: names of
-    meta-actions, of which each is tried after the first action; the best one counts. discount:
-    gamma, of the rewards. knows: "all", or only what is "observed"; then in ``futures`` guesses of
-    the rest, over which returns are averaged. seed: of the guesses, which depend on it, and on an
-    environment's own seed and time, and on nothing else.
+    meta-actions, of which each is tried after the first action; the best one counts; None: all
+    that there are. discount: gamma, of the rewards. crash_cost: what a collision costs beyond what
+    the scenario takes for it: where that is little, the best plan often ends in a crash.
+
+    knows: "all", or only what is "observed"; then in ``futures`` guesses of the rest, over which
+    returns are averaged. seed: of the guesses, which depend on it, and on an environment's own seed
+    and time, and on nothing else.
 
     Raises ValueError for a horizon or futures below 1, a discount out of [0, 1], no continuation,
     or another kind of knowledge.
     """
 
-    horizon: int = 6
-    continuations: tuple[str, ...] = ("IDLE", "SLOWER")
-    discount: float = 1.0
+    horizon: int = 8
+    continuations: tuple[str, ...] | None = ("IDLE", "SLOWER")
+    discount: float = 0.95
+    crash_cost: float = 10.0
     knows: Knowledge = "all"
     futures: int = 4
     seed: int = 0
@@ -73,7 +77,7 @@ class LookAhead:
             raise ValueError(f"knows: expected {expected}, got {self.knows!r}")
         if not 0.0 <= self.discount <= 1.0:
             raise ValueError(f"discount: expected a number from 0 to 1, got {self.discount}")
-        if not self.continuations:
+        if self.continuations == ():
             raise ValueError("continuations: expected at least one name of a meta-action, got none")
 
     def sequences(self, envs: SetVectorEnv) -> NDArray[np.int64]:
@@ -82,9 +86,10 @@ class LookAhead:
         Raises ValueError where there are no meta-actions, or none of a continuation's name.
         """
         numbers = meta_actions(envs)
-        if unknown := [name for name in self.continuations if name not in numbers]:
+        names = tuple(numbers) if self.continuations is None else self.continuations
+        if unknown := [name for name in names if name not in numbers]:
             raise ValueError(f"continuations: expected {', '.join(numbers)}, got {unknown[0]!r}")
-        after = [numbers[name] for name in self.continuations]
+        after = [numbers[name] for name in names]
         plans = np.empty((len(numbers), len(after), self.horizon), np.int64)
         plans[:, :, 0] = np.arange(len(numbers))[:, None]
         plans[:, :, 1:] = np.array(after)[:, None]
@@ -105,7 +110,7 @@ class LookAhead:
             chosen = np.arange(envs.num_envs)
         count = tried[0] * tried[1]
         actions = np.tile(plans.reshape(count, self.horizon), (len(chosen), 1))
-        returns = rollouts(envs, np.repeat(chosen, count), actions, self.discount)
+        returns = rollouts(envs, np.repeat(chosen, count), actions, self.discount, self.crash_cost)
         # What is done next has to be chosen before it is known which of the futures comes.
         return returns.reshape(-1, futures, *tried).mean(axis=1).max(axis=2)
 
@@ -117,11 +122,15 @@ class LookAhead:
         return np.where(values[:, neutral] == values.max(axis=1), neutral, best)
 
 
-def rollouts(envs: SetVectorEnv, indices: Any, actions: NDArray, discount: float = 1.0) -> NDArray:
+def rollouts(
+    envs: SetVectorEnv, indices: Any, actions: NDArray, discount: float = 1.0,
+    crash_cost: float = 0.0,
+) -> NDArray:  # fmt: skip
     """Discounted returns of sequences of actions, driven in copies of environments.
 
-    indices [K]: the environment that each begins in. actions [K, H, ...]. Returns [K]; nothing is
-    earned after the end of an episode.
+    indices [K]: the environment that each begins in. actions [K, H, ...]. crash_cost: taken from
+    the reward of a step that ends an episode with the ego crashed. Returns [K]; nothing is earned
+    after the end of an episode.
     """
     copies = envs.fork(indices)
     # What ends stays as it is: resets would cost time, and draw random numbers.
@@ -130,7 +139,8 @@ def rollouts(envs: SetVectorEnv, indices: Any, actions: NDArray, discount: float
     returns = np.zeros(copies.num_envs)
     for step in range(actions.shape[1]):
         _, rewards, terminated, truncated = copies.advance(actions[:, step])
-        returns += discount**step * rewards
+        crashed = terminated & copies.engine.now.told.crashed
+        returns += discount**step * (rewards - crash_cost * crashed)
         copies.rest(terminated | truncated)
     copies.close()
     return returns

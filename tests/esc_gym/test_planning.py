@@ -29,29 +29,30 @@ def driven(env_id, count=2, steps=3, **arguments):
     return envs, others
 
 
-def by_deep_copies(env, sequences, discount):
-    """The returns of sequences of actions, each in a deep copy of ``env``."""
-    returns = []
+def by_deep_copies(env, sequences, planner):
+    """The returns of sequences of actions, each in a deep copy of ``env``; and how many crash."""
+    returns, crashes = [], 0
     for sequence in sequences:
         copy, total = deepcopy(env), 0.0
         for step, action in enumerate(sequence.tolist()):
             _, reward, terminated, truncated, _ = copy.step(action)
-            total += discount**step * float(reward)
+            crashed = terminated and copy.unwrapped.vehicle.crashed
+            crashes += crashed
+            total += planner.discount**step * (float(reward) - planner.crash_cost * crashed)
             if terminated or truncated:
                 break
         returns.append(total)
-    return returns
+    return returns, crashes
 
 
 @pytest.mark.parametrize("env_id", IDS)
 def test_values_are_those_of_deep_copies(env_id):
-    planner = LookAhead(horizon=5, discount=0.9)
+    planner = LookAhead(horizon=7, continuations=None, discount=0.9)
     envs, others = driven(env_id)
     plans = planner.sequences(envs)
-    expected = [
-        [max(by_deep_copies(other, of_one, planner.discount)) for of_one in plans]
-        for other in others
-    ]
+    found = [[by_deep_copies(other, of_one, planner) for of_one in plans] for other in others]
+    expected = [[max(returns) for returns, _ in of_one] for of_one in found]
+    assert sum(crashes for of_one in found for _, crashes in of_one) > 0
     np.testing.assert_array_equal(planner.values(envs), expected)
     np.testing.assert_array_equal(
         planner.values(envs, [1, 0, -1]), [expected[i] for i in (1, 0, 1)]

@@ -1,25 +1,46 @@
-"""esc-eval: drive a trained run's policy on fixed seeds."""
+"""esc-eval: drive a trained run's policy, or an expert, on fixed seeds."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import tyro
-from pydantic import BaseModel, ConfigDict, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt
 
 from esc_agents import pretrained
 from esc_agents.cli import Trust, guarded, parse
 from esc_agents.config import Mapping, Seed
 from esc_agents.errors import UserError
+from esc_gym.planning import LookAhead
 
 PROGRAM = "esc-eval"
 
 
+class PlannerArguments(BaseModel):
+    """How far, and with what knowledge, a planner looks ahead (esc_gym.planning.LookAhead)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    knows: Literal["all", "observed"] = "all"
+    """all: what the others want, and what is still to be drawn; observed: what can be seen."""
+    horizon: PositiveInt = LookAhead.horizon
+    """Policy steps looked ahead."""
+    continuations: tuple[str, ...] | None = LookAhead.continuations
+    """Meta-actions of which each is tried after the first one; None: all."""
+    discount: Annotated[float, Field(ge=0.0, le=1.0)] = LookAhead.discount
+    crash_cost: NonNegativeFloat = LookAhead.crash_cost
+    """What a collision costs beyond what the scenario takes for it."""
+    futures: PositiveInt = LookAhead.futures
+    """Guesses of what cannot be seen, over which is averaged."""
+    seed: Seed = LookAhead.seed
+    """Of the guesses."""
+
+
 class EvaluateArguments(BaseModel):
-    """Drive a trained policy on fixed seeds and say how it went: esc-eval RUN_DIR, or
-    esc-eval --pretrained NAME."""
+    """Drive a policy on fixed seeds and say how it went: esc-eval RUN_DIR,
+    esc-eval --pretrained NAME, or esc-eval --expert planner --env NAME."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
@@ -27,6 +48,11 @@ class EvaluateArguments(BaseModel):
     """Directory that esc-train wrote."""
     pretrained: str | None = None
     """In place of a directory: an agent that comes with esc-gym."""
+    expert: Literal["planner", "idm"] | None = None
+    """In place of a policy that was trained: a planner that looks ahead in copies of the scene, or
+    highway-env's own driver; in the scenario or id of --env."""
+    planner: PlannerArguments = PlannerArguments()
+    """Of --expert planner."""
     episodes: PositiveInt = 20
     seed: Seed = 2_000_000
     """Seed of the first episode; the others follow."""
@@ -57,15 +83,37 @@ def command(args: list[str]) -> int:
     """0: done."""
     arguments = parse(PROGRAM, EvaluateArguments, args)
     given = dict(arguments)
-    name = given.pop("pretrained")
-    if (name is None) == (given["run_dir"] is None):
+    name, expert, planner = (given.pop(key) for key in ("pretrained", "expert", "planner"))
+    if [name, expert, given["run_dir"]].count(None) != 2:
         known = ", ".join(pretrained.names()) or "none yet"
-        raise UserError(f"expected a run directory, or --pretrained NAME (there are: {known})")
+        raise UserError(
+            f"expected one of a run directory, --pretrained NAME (there are: {known}), or "
+            "--expert NAME"
+        )
+    if expert:
+        return _expert(expert, planner, given)
+    if planner != PlannerArguments():
+        raise UserError("--planner: expected --expert planner beside it")
     if name:
         given["run_dir"] = pretrained.directory(name)
     from esc_agents.training.evaluation import evaluate_run
 
     evaluate_run(**given)
+    return 0
+
+
+def _expert(expert: Any, planner: PlannerArguments, given: dict[str, Any]) -> int:
+    if given["env"] is None:
+        raise UserError(f"--expert {expert}: expected --env, in which to drive")
+    if expert == "idm" and planner != PlannerArguments():
+        raise UserError("--planner: expected --expert planner beside it, got --expert idm")
+    if given["shuffle"]:
+        raise UserError(f"--shuffle: expected a trained policy; {expert} does not look at a set")
+    from esc_agents.training.evaluation import evaluate_expert
+
+    for key in ("run_dir", "shuffle", "device", "trust"):
+        del given[key]
+    evaluate_expert(expert, LookAhead(**dict(planner)), **given)
     return 0
 
 

@@ -52,19 +52,22 @@ def _without_screen() -> Iterator[None]:
             os.environ["SDL_VIDEODRIVER"] = before
 
 
-def film(config: TrainConfig, policy: Policy, seed: int, folder: Path, shuffle: bool) -> Path:
-    """Drive one episode in front of the camera into ``folder``; the GIF plays in real time."""
+def film(config: TrainConfig, policy: Policy, seed: int, folder: Path, **options: Any) -> Path:
+    """Drive one episode in front of the camera into ``folder``; the GIF plays in real time.
+
+    options: of ``make_env``.
+    """
     path = folder / f"seed-{seed}.gif"
-    data = gif(*record(config, policy, seed, shuffle=shuffle))
+    data = gif(*record(config, policy, seed, **options))
     files.write_atomically(path, lambda file: file.write(data))
     return path
 
 
 def record(
-    config: TrainConfig, policy: Policy, seed: int, *, shuffle: bool = False
+    config: TrainConfig, policy: Policy, seed: int, **options: Any
 ) -> tuple[list[Image.Image], float]:
-    """(frames of one episode, frames a second)."""
-    env: Any = make_env(config, shuffle=shuffle, render_mode="rgb_array")
+    """(frames of one episode, frames a second). options: of ``make_env``."""
+    env: Any = make_env(config, render_mode="rgb_array", **options)
     observation, _ = env.reset(seed=seed)
     camera = _Camera(env)
     ended = False

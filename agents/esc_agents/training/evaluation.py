@@ -1,19 +1,29 @@
-"""esc-eval's work: a run's policy on fixed seeds, on film too."""
+"""esc-eval's work: a run's policy, or an expert, on fixed seeds, on film too."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from esc_agents import files
 from esc_agents.config import TrainConfig, config_for_env, flow
+from esc_agents.driving import experts
 from esc_agents.driving.checks import check_env
 from esc_agents.driving.environments import MEANING, actions, env_config, wrapper_json
-from esc_agents.driving.episodes import Summary, as_rows, evaluate, model_policy, table
+from esc_agents.driving.episodes import (
+    Episode,
+    Summary,
+    as_rows,
+    evaluate,
+    model_policy,
+    table,
+)
 from esc_agents.driving.films import film
+from esc_agents.driving.rule_driver import RULE
 from esc_agents.driving.vectorised import vectorise
 from esc_agents.errors import UserError, say
 from esc_agents.reporting.tables import show, terminal
@@ -21,6 +31,7 @@ from esc_agents.training import run_directory
 from esc_agents.training.callbacks import StopOnSignal
 from esc_agents.training.models import load_model
 from esc_gym.adaptation import adapt
+from esc_gym.planning import LookAhead
 from esc_gym.registration import merge
 
 
@@ -54,18 +65,52 @@ def evaluate_run(
         envs.close()
     if stop.interrupted:
         raise KeyboardInterrupt
-    summary = Summary.of(drives)
     name = f"{config.repr}, shuffled" if shuffle else config.repr
-    title += f"episodes: {episodes} from seed {seed}"
+    summary = _tell(name, title, driven, drives, json_file)
+    if video:
+        for drive in drives[:videos]:
+            path = film(config, model_policy(model), drive.seed, video, shuffle=shuffle)
+            say(f"Video: {path}")
+    return summary
+
+
+def evaluate_expert(
+    expert: experts.Expert, planner: LookAhead, episodes: int, seed: int, env: str,
+    env_config: dict[str, Any], video: Path | None, videos: int, json_file: Path | None,
+) -> Summary:  # fmt: skip
+    """Evaluate a driver that has learned nothing, on ``episodes`` seeds from ``seed`` on.
+
+    planner: how one looks ahead. The others: as of ``evaluate_run``.
+    """
+    config = config_for_env(env)
+    config = config.model_copy(update={"env_config": merge(config.env_config, env_config)})
+    _check_outputs(video, json_file)
+    with StopOnSignal() as stop:
+        seeds = range(seed, seed + episodes)
+        drives = experts.drive(expert, planner, config, seeds, lambda: stop.interrupted)
+    if stop.interrupted:
+        raise KeyboardInterrupt
+    driven = f"{env} {flow(env_config) if env_config else ''}".strip()
+    name = RULE if expert == "idm" else f"planner, knows {planner.knows}"
+    summary = _tell(name, f"{driven}; ", driven, drives, json_file)
+    if video:
+        for drive in drives[:videos]:
+            say(f"Video: {experts.films(expert, planner, config, drive.seed, video)}")
+    return summary
+
+
+def _tell(
+    name: str, title: str, driven: str, drives: Sequence[Episode], json_file: Path | None
+) -> Summary:
+    """Print how it went, and write it into ``json_file``."""
+    summary = Summary.of(drives)
+    title += f"episodes: {len(drives)} from seed {drives[0].seed}"
     show(terminal(table({name: summary}), title))
     if json_file:
         report = {**as_rows({name: summary})[0], "driven": driven}
         report["drives"] = [asdict(drive) for drive in drives]
         files.write_json(json_file, report)
         say(f"Results: {json_file}")
-    if video:
-        for drive in drives[:videos]:
-            say(f"Video: {film(config, model_policy(model), drive.seed, video, shuffle)}")
     return summary
 
 
