@@ -87,8 +87,7 @@ def command(args: list[str]) -> int:
     if [name, expert, given["run_dir"]].count(None) != 2:
         known = ", ".join(pretrained.names()) or "none yet"
         raise UserError(
-            f"expected one of a run directory, --pretrained NAME (there are: {known}), or "
-            "--expert NAME"
+            f"expected a run directory, or --pretrained NAME (there are: {known}), or --expert NAME"
         )
     if expert:
         return _expert(expert, planner, given)

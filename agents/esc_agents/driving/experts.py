@@ -12,11 +12,11 @@ from esc_agents.config import TrainConfig
 from esc_agents.driving.baselines import rule_driver
 from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.checks import check_env
-from esc_agents.driving.episodes import Episode, Policy, evaluate
+from esc_agents.driving.episodes import Episode, evaluate
 from esc_agents.driving.films import film
 from esc_agents.driving.vectorised import closing, unknown_to_engine
 from esc_agents.errors import UserError
-from esc_gym.planning import LookAhead, meta_actions
+from esc_gym.planning import LookAhead
 
 Expert = Literal["planner", "idm"]
 
@@ -32,9 +32,9 @@ def drive(
     if expert == "idm":
         check_env(config)
         return rule_driver(config, seeds, stop)
-    count = min(config.n_envs, len(seeds))
-    with closing(_batch(config, count)) as envs:
-        return evaluate(envs, _looking_ahead(planner, envs), seeds, stop)
+    envs = _batch(planner, config, min(config.n_envs, len(seeds)))
+    with closing(envs):
+        return evaluate(envs, lambda observations: planner.actions(envs.envs), seeds, stop)
 
 
 def films(expert: Expert, planner: LookAhead, config: TrainConfig, seed: int, folder: Path) -> Path:
@@ -42,11 +42,11 @@ def films(expert: Expert, planner: LookAhead, config: TrainConfig, seed: int, fo
     if expert == "idm":
         return film(config, lambda observations: np.zeros(1), seed, folder, rule_driver=True)
     actions: list[Any] = []
-    with closing(_batch(config, 1)) as envs:
-        planned = _looking_ahead(planner, envs)
+    envs = _batch(planner, config, 1)
+    with closing(envs):
 
         def noted(observations: Any) -> Any:
-            actions.append(planned(observations))
+            actions.append(planner.actions(envs.envs))
             return actions[-1]
 
         evaluate(envs, noted, [seed])
@@ -54,19 +54,15 @@ def films(expert: Expert, planner: LookAhead, config: TrainConfig, seed: int, fo
     return film(config, lambda observations: next(again), seed, folder)
 
 
-def _batch(config: TrainConfig, count: int) -> BatchVecEnv:
+def _batch(planner: LookAhead, config: TrainConfig, count: int) -> BatchVecEnv:
     """Environments that can be copied. Raises UserError where there are none, or nothing to try."""
     check_env(config)
     if reason := unknown_to_engine(config):
         raise UserError(f"planner: {config.env} is not simulated in batches: {reason}")
     envs = BatchVecEnv(config, count, evaluation=True)
     try:
-        meta_actions(envs.envs)
+        planner.sequences(envs.envs)
     except ValueError as error:
         envs.close()
         raise UserError(f"planner: {config.env}: {error}") from error
     return envs
-
-
-def _looking_ahead(planner: LookAhead, envs: Any) -> Policy:
-    return lambda observations: planner.actions(envs.envs)

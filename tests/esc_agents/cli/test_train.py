@@ -196,6 +196,16 @@ def test_resume_takes_more_steps_and_nothing_else(args, message, call, own_run):
         (["missing", "--episodes", "0"], "episodes"),
         (["missing", "--episodes"], "Missing value"),
         (["missing", "--film"], "Unrecognized"),
+        (["missing", "--planner.horizon", "3"], "--planner: expected --expert planner"),
+        (["missing", "--expert", "idm"], "expected a run directory, or --pretrained"),
+        (["--expert", "mcts", "--env", "merge"], "invalid choice 'mcts'"),
+        (["--expert", "planner"], "--expert planner: expected --env"),
+        (["--expert", "planner", "--env", "merg"], "did you mean 'merge'?"),
+        (["--expert", "planner", "--env", "merge", "--shuffle"], "--shuffle: expected a trained"),
+        (["--expert", "planner", "--env", "merge", "--planner.continuations", "UP"], "got 'UP'"),
+        (["--expert", "planner", "--env", "parking"], "expected an environment with meta-actions"),
+        (["--expert", "idm", "--env", "parking"], "follows lanes, and none leads to a parking"),
+        (["--expert", "idm", "--env", "merge", "--planner.horizon", "3"], "got --expert idm"),
     ],
 )
 def test_bad_input_of_eval(args, message, call, tmp_path):
