@@ -44,6 +44,8 @@ def command(args: list[str]) -> int:
     from esc_agents.zoo.keeping import keep
     from esc_agents.zoo.report import publish
 
+    if not arguments.run.is_dir():
+        raise UserError(f"{arguments.run}: expected a directory of esc-compare or esc-train")
     comparison = any(store.task_folders(arguments.run))
     if comparison != (arguments.name is None):
         raise UserError("expected the directory of a comparison, or that of a run and --name NAME")

@@ -119,3 +119,9 @@ def test_what_is_to_be_kept_has_to_be_clear(name, compared, ppo_run, call):
     assert (code, err.count("\n")) == (2, 1)
     assert "expected the directory of a comparison, or that of a run and --name NAME" in err
     assert zoo.names() == []
+
+
+def test_what_is_to_be_kept_has_to_be_there(call):
+    code, _, err = call(keep_cli, "nowhere")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "nowhere: expected a directory of esc-compare or esc-train" in err
