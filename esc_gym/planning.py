@@ -1,6 +1,6 @@
 """Looking ahead on the batch engine: what each action is worth, by driving copies of the scene on.
 
-    planner = LookAhead(horizon=6)
+    planner = LookAhead()
     values = planner.values(envs)  # [num_envs, A]
     envs.step(planner.actions(envs))
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal, get_args
 
 import gymnasium as gym
@@ -45,12 +46,13 @@ NOMINAL = {
 
 @dataclass(frozen=True)
 class LookAhead:
-    """Exhaustive look-ahead: each action once, then one of a few actions to the horizon.
+    """Exhaustive look-ahead: all first actions, then one of a few actions to the horizon.
 
-    horizon: policy steps looked ahead, the first action's included. continuations: names of
-    meta-actions, of which each is tried after the first action; the best one counts; None: all
-    that there are. discount: gamma, of the rewards. crash_cost: what a collision costs beyond what
-    the scenario takes for it: where that is little, the best plan often ends in a crash.
+    horizon: policy steps looked ahead. free: in how many of them, from the first on, every action
+    is tried. continuations: names of meta-actions, of which each is tried from then on; None: all
+    that there are. The best of what begins with an action says what that is worth. discount:
+    gamma, of the rewards. crash_cost: what a collision costs beyond what the scenario takes for it:
+    where that is little, the best plan often ends in a crash.
 
     knows: "all", or only what is "observed"; then in ``futures`` guesses of the rest, over which
     returns are averaged. seed: of the guesses, which depend on it, and on an environment's own seed
@@ -60,7 +62,8 @@ class LookAhead:
     or another kind of knowledge.
     """
 
-    horizon: int = 8
+    horizon: int = 10
+    free: int = 2
     continuations: tuple[str, ...] | None = ("IDLE", "SLOWER")
     discount: float = 0.95
     crash_cost: float = 10.0
@@ -69,9 +72,11 @@ class LookAhead:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("horizon", "futures"):
+        for name in ("horizon", "free", "futures"):
             if (number := getattr(self, name)) < 1:
                 raise ValueError(f"{name}: expected at least 1, got {number}")
+        if self.free > self.horizon:
+            raise ValueError(f"free: expected at most the horizon, {self.horizon}, got {self.free}")
         if self.knows not in get_args(Knowledge):
             expected = " or ".join(map(repr, get_args(Knowledge)))
             raise ValueError(f"knows: expected {expected}, got {self.knows!r}")
@@ -81,7 +86,7 @@ class LookAhead:
             raise ValueError("continuations: expected at least one name of a meta-action, got none")
 
     def sequences(self, envs: SetVectorEnv) -> NDArray[np.int64]:
-        """What is tried: [A, C, horizon], for C continuations of each of A actions.
+        """What is tried: [A, A**(free - 1) * C, horizon], for A actions and C continuations.
 
         Raises ValueError where there are no meta-actions, or none of a continuation's name.
         """
@@ -90,10 +95,9 @@ class LookAhead:
         if unknown := [name for name in names if name not in numbers]:
             raise ValueError(f"continuations: expected {', '.join(numbers)}, got {unknown[0]!r}")
         after = [numbers[name] for name in names]
-        plans = np.empty((len(numbers), len(after), self.horizon), np.int64)
-        plans[:, :, 0] = np.arange(len(numbers))[:, None]
-        plans[:, :, 1:] = np.array(after)[:, None]
-        return plans
+        tried = [*product(*[range(len(numbers))] * self.free, after)]
+        plans = np.repeat(tried, [*[1] * self.free, self.horizon - self.free], axis=1)
+        return plans.reshape(len(numbers), -1, self.horizon)
 
     def values(self, envs: SetVectorEnv, indices: Sequence[int] | None = None) -> NDArray:
         """Discounted return of each action within the horizon: [num_envs or len(indices), A].

@@ -47,7 +47,7 @@ def by_deep_copies(env, sequences, planner):
 
 @pytest.mark.parametrize("env_id", IDS)
 def test_values_are_those_of_deep_copies(env_id):
-    planner = LookAhead(horizon=7, continuations=None, discount=0.9)
+    planner = LookAhead(horizon=7, free=1, continuations=None, discount=0.9)
     envs, others = driven(env_id)
     plans = planner.sequences(envs)
     found = [[by_deep_copies(other, of_one, planner) for of_one in plans] for other in others]
@@ -70,14 +70,16 @@ def test_planning_leaves_the_batch_alone(mode):
     envs.step(np.zeros(2, int))
 
 
-def test_sequences_are_each_action_then_a_continuation():
+def test_sequences_are_free_actions_then_a_continuation():
     envs, _ = driven(IDS[0], steps=0)
-    plans = LookAhead(horizon=3).sequences(envs)
     numbers = meta_actions(envs)
-    assert plans.shape == (5, 2, 3)
-    for name, action in numbers.items():
-        for continuation, after in zip(plans[action], ("IDLE", "SLOWER"), strict=True):
-            assert continuation.tolist() == [numbers[name], numbers[after], numbers[after]]
+    idle, slower = numbers["IDLE"], numbers["SLOWER"]
+    once = LookAhead(horizon=3, free=1).sequences(envs).tolist()
+    assert once == [[[a, idle, idle], [a, slower, slower]] for a in range(5)]
+    twice = LookAhead(horizon=3).sequences(envs).tolist()
+    assert twice == [[[a, b, c] for b in range(5) for c in (idle, slower)] for a in range(5)]
+    named = LookAhead(horizon=2, free=1, continuations=None).sequences(envs)
+    assert named[3, :, 1].tolist() == list(numbers.values())
 
 
 def test_an_ended_episode_is_worth_nothing():
@@ -163,6 +165,7 @@ def test_the_best_action_is_taken_and_idle_among_equals(monkeypatch):
     [
         ({"horizon": 0}, "horizon: expected at least 1, got 0"),
         ({"futures": 0}, "futures: expected at least 1, got 0"),
+        ({"horizon": 3, "free": 4}, "free: expected at most the horizon, 3, got 4"),
         ({"knows": "some"}, "knows: expected 'all' or 'observed', got 'some'"),
         ({"discount": 1.5}, "discount: expected a number from 0 to 1, got 1.5"),
         ({"continuations": ()}, "continuations: expected at least one name of a meta-action"),

@@ -27,8 +27,10 @@ class PlannerArguments(BaseModel):
     """all: what the others want, and what is still to be drawn; observed: what can be seen."""
     horizon: PositiveInt = LookAhead.horizon
     """Policy steps looked ahead."""
+    free: PositiveInt = LookAhead.free
+    """In how many of them, from the first on, every action is tried."""
     continuations: tuple[str, ...] | None = LookAhead.continuations
-    """Meta-actions of which each is tried after the first one; None: all."""
+    """Meta-actions of which each is tried from then on; None: all."""
     discount: Annotated[float, Field(ge=0.0, le=1.0)] = LookAhead.discount
     crash_cost: NonNegativeFloat = LookAhead.crash_cost
     """What a collision costs beyond what the scenario takes for it."""
@@ -112,7 +114,11 @@ def _expert(expert: Any, planner: PlannerArguments, given: dict[str, Any]) -> in
 
     for key in ("run_dir", "shuffle", "device", "trust"):
         del given[key]
-    evaluate_expert(expert, LookAhead(**dict(planner)), **given)
+    try:
+        looking = LookAhead(**dict(planner))
+    except ValueError as error:
+        raise UserError(f"--planner.{error}") from error
+    evaluate_expert(expert, looking, **given)
     return 0
 
 

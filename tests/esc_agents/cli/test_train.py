@@ -200,6 +200,10 @@ def test_resume_takes_more_steps_and_nothing_else(args, message, call, own_run):
         (["missing", "--expert", "idm"], "expected a run directory, or --pretrained"),
         (["--expert", "mcts", "--env", "merge"], "invalid choice 'mcts'"),
         (["--expert", "planner"], "--expert planner: expected --env"),
+        (
+            ["--expert", "planner", "--env", "merge", "--planner.horizon", "1"],
+            "--planner.free: expected at most the horizon, 1, got 2",
+        ),
         (["--expert", "planner", "--env", "merg"], "did you mean 'merge'?"),
         (["--expert", "planner", "--env", "merge", "--shuffle"], "--shuffle: expected a trained"),
         (["--expert", "planner", "--env", "merge", "--planner.continuations", "UP"], "got 'UP'"),
