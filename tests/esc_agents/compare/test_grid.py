@@ -3,6 +3,7 @@ import pytest
 from esc_agents.compare.grid import (
     Candidate,
     Cell,
+    CompareConfig,
     candidates,
     check_transfer,
     scenario,
@@ -10,7 +11,10 @@ from esc_agents.compare.grid import (
     train_config,
     tuning_cells,
 )
+from esc_agents.config import config_for_env
 from esc_agents.errors import UserError
+from esc_agents.tuning import settings as tune_settings
+from esc_agents.tuning.settings import TuneConfig
 from tests.esc_agents.compare.small import ENV, MORE, small
 
 
@@ -62,6 +66,14 @@ def test_tuning_is_shorter_by_default():
     cell = tuning_cells(config)[0]
     assert train_config(config, cell, 20).steps == 1000
     assert train_config(config, study_cells(config)[0], 20).steps == 3000
+
+
+def test_a_scenario_has_steps_of_its_own_for_each_algorithm():
+    own = config_for_env("highway-dense")
+    for algo, steps in {"ppo": own.steps, "sac": own.continuous.steps}.items():
+        config = CompareConfig(env=("highway-dense",), algo=algo, steps=None)
+        assert train_config(config, study_cells(config)[0], 20).steps == steps
+        assert tune_settings.scenario(TuneConfig(env="highway-dense", algo=algo)).steps == steps
 
 
 def test_other_traffic_changes_the_scenario_and_nothing_else():
