@@ -110,7 +110,7 @@ class LookAhead:
         tried, futures = plans.shape[:2], 1
         if self.knows == "observed":
             futures = self.futures
-            envs = guess(envs, np.repeat(chosen, futures), self.seed)
+            envs = guess(envs, chosen, futures, self.seed)
             chosen = np.arange(envs.num_envs)
         count = tried[0] * tried[1]
         actions = np.tile(plans.reshape(count, self.horizon), (len(chosen), 1))
@@ -150,8 +150,12 @@ def rollouts(
     return returns
 
 
-def guess(envs: SetVectorEnv, indices: Any, seed: int) -> SetVectorEnv:
+def guess(
+    envs: SetVectorEnv, indices: Sequence[int] | NDArray, futures: int, seed: int
+) -> SetVectorEnv:
     """Copies of environments in which everything is a guess that their egos cannot see.
+
+    There are ``futures`` copies of each of ``indices``, one beside the other.
 
     Seen are the road, and position, heading, speed, size and lane of everyone within the perception
     distance; the others are not there. Drivers are IDM and MOBIL's as they are by default, keep to
@@ -159,13 +163,10 @@ def guess(envs: SetVectorEnv, indices: Any, seed: int) -> SetVectorEnv:
     drivers mostly want. Where they turn off, when they next think of changing lanes, and who comes
     next is drawn at random, for each copy anew.
     """
-    copies = envs.fork(indices)
+    copies = envs.fork(np.repeat(indices, futures).tolist())
     state, network = copies.engine.state, copies.engine.network
-    drawn: dict[int, int] = {}
-    for e, index in enumerate(np.asarray(indices).tolist()):
-        drawn[index] = again = drawn.get(index, -1) + 1
-        head = state.heads[e]
-        entropy = [seed, again, int(head["seed"]) + 1, int(head["elapsed"])]
+    for e, head in enumerate(state.heads):
+        entropy = [seed, e % futures, int(head["seed"]) + 1, int(head["elapsed"])]
         generator = np.random.default_rng(entropy)
         _leave_out(state, e, envs.set_spec.perception_distance)
         _guess_drivers(state, e, network, generator)
