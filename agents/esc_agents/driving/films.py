@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -18,13 +18,18 @@ from esc_agents.driving.environments import make_env
 from esc_agents.driving.episodes import Policy
 
 MAX_FPS = 15
+LONGEST = 60  # seconds: a lap of the racetrack, of which an episode has five minutes
 
 
 class _Camera:
-    """Stands in for Gymnasium's RecordVideo, which highway-env calls at every simulated frame."""
+    """Stands in for Gymnasium's RecordVideo, which highway-env calls at every simulated frame.
 
-    def __init__(self, env: Any) -> None:
-        self.env, self.frames, self.frames_per_sec = env, [], 0.0
+    every: of how many frames one is kept.
+    """
+
+    def __init__(self, env: Any, every: int) -> None:
+        self.env, self.every, self.frames, self.frames_per_sec = env, every, [], 0.0
+        self._shown = 0
         env.unwrapped.set_record_video_wrapper(self)
         with _without_screen():
             env.render()  # makes the viewer
@@ -33,10 +38,16 @@ class _Camera:
     def _capture_frame(self) -> None:
         frame = self.env.unwrapped.viewer
         frame.display()
-        self.frames.append(Image.fromarray(np.asarray(frame.get_image())))
+        self._keep(frame.get_image)
 
-    def shoot(self) -> None:
-        self.frames.append(Image.fromarray(np.asarray(self.env.render())))
+    def shoot(self, always: bool = False) -> None:
+        """A frame between two policy steps. always: keep it in any case."""
+        self._keep(self.env.render, always)
+
+    def _keep(self, look: Callable[[], Any], always: bool = False) -> None:
+        if always or self._shown % self.every == 0:
+            self.frames.append(Image.fromarray(np.asarray(look())))
+        self._shown += 1
 
 
 @contextmanager
@@ -66,21 +77,25 @@ def film(config: TrainConfig, policy: Policy, seed: int, folder: Path, **options
 def record(
     config: TrainConfig, policy: Policy, seed: int, **options: Any
 ) -> tuple[list[Image.Image], float]:
-    """(frames of one episode, frames a second). options: of ``make_env``."""
+    """(frames of one episode, of its first minute if it is longer; frames a second).
+
+    options: of ``make_env``.
+    """
     env: Any = make_env(config, render_mode="rgb_array", **options)
     observation, _ = env.reset(seed=seed)
-    camera = _Camera(env)
+    rate = env.unwrapped.config["simulation_frequency"]
+    every = max(1, round(rate / MAX_FPS))
+    camera = _Camera(env, every)
     ended = False
     camera.shoot()
-    while not ended:
+    while not ended and len(camera.frames) * every < LONGEST * rate:
         batch = {name: value[None] for name, value in observation.items()}
         observation, _, terminated, truncated, _ = env.step(policy(batch)[0])
         camera.shoot()
         ended = terminated or truncated
-    rate = env.unwrapped.config["simulation_frequency"]
+    camera.shoot(always=True)
     env.close()
-    every = max(1, round(rate / MAX_FPS))
-    return camera.frames[::every] + camera.frames[-1:], rate / every
+    return camera.frames, rate / every
 
 
 def gif(frames: Sequence[Image.Image], rate: float) -> bytes:

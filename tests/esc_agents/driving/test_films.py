@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from esc_agents.driving.films import film
+from esc_agents.driving.films import film, record
 from tests.esc_agents.tiny import tiny
 
 
@@ -50,3 +50,12 @@ def test_it_plays_in_real_time(gif):
     milliseconds = [duration for _, duration in gif[1]]
     # 6 policy steps a second each, at 5 frames a second, and a short rest on the end.
     assert 6000 <= sum(milliseconds) <= 7500
+
+
+def test_a_long_episode_is_shown_up_to_a_limit(monkeypatch):
+    frames, rate = record(tiny(), always_idle, 3)
+    monkeypatch.setattr("esc_agents.driving.films.LONGEST", 2)
+    shorter, same = record(tiny(), always_idle, 3)
+    assert rate == same
+    assert 2 * rate <= len(shorter) <= 3 * rate + 1 < len(frames)  # whole policy steps of a second
+    np.testing.assert_array_equal(shorter[1], frames[1])
