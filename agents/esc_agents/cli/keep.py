@@ -44,7 +44,7 @@ def command(args: list[str]) -> int:
     from esc_agents.zoo.keeping import keep
     from esc_agents.zoo.report import publish
 
-    if not arguments.run.is_dir():
+    if arguments.name is None and not arguments.run.is_dir():
         raise UserError(f"{arguments.run}: expected a directory of esc-compare or esc-train")
     comparison = any(store.task_folders(arguments.run))
     if comparison != (arguments.name is None):
