@@ -67,7 +67,7 @@ class EvaluateArguments(BaseModel):
     shuffle: bool = False
     """Permute the vehicles of every observation."""
     video: Path | None = None
-    """Folder for a GIF of each of the first episodes."""
+    """Folder for a GIF of each of the first episodes, a minute of it at most."""
     videos: PositiveInt = 3
     """How many episodes to film with --video."""
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
