@@ -55,7 +55,9 @@ def test_what_the_zoo_does_not_have(ppo_run, own_zoo, call):
     for arguments in ([], [ppo_run, "--pretrained", "tiny"]):
         code, _, err = call(eval_cli, *arguments)
         assert code == 2
-        expected = "expected a run directory, or --pretrained NAME (there are: tiny), or --expert NAME"
+        expected = (
+            "expected a run directory, or --pretrained NAME (there are: tiny), or --expert NAME"
+        )
         assert err == f"esc-eval: {expected}\n"
 
 
