@@ -58,8 +58,8 @@ class LookAhead:
     returns are averaged. seed: of the guesses, which depend on it, and on an environment's own seed
     and time, and on nothing else.
 
-    Raises ValueError for a horizon or futures below 1, a discount out of [0, 1], no continuation,
-    or another kind of knowledge.
+    Raises ValueError for a horizon, free or futures below 1, free above the horizon, a discount out
+    of [0, 1], no continuation, or another kind of knowledge.
     """
 
     horizon: int = 10
@@ -158,10 +158,10 @@ def guess(
     There are ``futures`` copies of each of ``indices``, one beside the other.
 
     Seen are the road, and position, heading, speed, size and lane of everyone within the perception
-    distance; the others are not there. Drivers are IDM and MOBIL's as they are by default, keep to
-    the lane that they are on, and want to go as fast as they do, or if they are held up as fast as
-    drivers mostly want. Where they turn off, when they next think of changing lanes, and who comes
-    next is drawn at random, for each copy anew.
+    distance; the others are not there. Drivers are IDM and MOBIL's as they are by default, are on
+    their way to no other lane yet, and want to go as fast as they do, or if they are held up as
+    fast as drivers mostly want. Where they turn off, when they next think of changing lanes, and
+    who comes next is drawn at random, for each copy anew.
     """
     copies = envs.fork(np.repeat(indices, futures).tolist())
     state, network = copies.engine.state, copies.engine.network
@@ -201,17 +201,31 @@ def _guess_drivers(state: State, e: int, network: Any, generator: np.random.Gene
         theirs[name] = value
     theirs["timer"] = generator.uniform(0.0, IDMVehicle.LANE_CHANGE_DELAY, len(theirs))
     theirs["yielding"] = theirs["yield_timer"] = 0
-    road, length = own["road"], state.routes.shape[2]
-    theirs["route_taken"], theirs["route_length"] = 0, length
-    after = np.append(network.exits, -1)  # there may be none
+    routes, theirs["route_length"] = _guess_routes(
+        own["road"], state.routes.shape[2], network, generator
+    )
+    theirs["route_taken"] = 0
+    state.routes[e, others] = routes
+    vehicles[others] = theirs
+
+
+def _guess_routes(
+    road: NDArray, length: int, network: Any, generator: np.random.Generator
+) -> tuple[NDArray, NDArray]:
+    """Ways on from roads [K], at each end by one of those that start there.
+
+    Returns routes [K, length, 2], as in ``fastsim.records.Scene``, and how long each is [K].
+    """
+    lanes, after = network.records, np.append(network.exits, -1)  # there may be no exits
+    routes = np.full((len(road), length, 2), NO_LANE)
+    lengths = np.full(len(road), length)
     for step in range(length):
-        state.routes[e, others, step] = np.stack([road, np.full_like(road, NO_LANE)], axis=1)
+        routes[:, step, 0] = road
         count = lanes["exits_count"][road]
-        ends = (count == 0) & (theirs["route_length"] == length)
-        theirs["route_length"][ends] = step + 1
+        lengths[(count == 0) & (lengths == length)] = step + 1
         turn = lanes["exits"][road] + generator.integers(np.maximum(count, 1))
         road = np.where(count > 0, after[turn], road)
-    vehicles[others] = theirs
+    return routes, lengths
 
 
 def meta_actions(envs: SetVectorEnv) -> dict[str, int]:

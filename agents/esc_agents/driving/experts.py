@@ -12,6 +12,7 @@ from esc_agents.config import TrainConfig
 from esc_agents.driving.baselines import rule_driver
 from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.checks import check_env
+from esc_agents.driving.environments import make_env
 from esc_agents.driving.episodes import Episode, evaluate
 from esc_agents.driving.films import film
 from esc_agents.driving.vectorised import closing, unknown_to_engine
@@ -19,6 +20,15 @@ from esc_agents.errors import UserError
 from esc_gym.planning import LookAhead
 
 Expert = Literal["planner", "idm"]
+
+
+def check(expert: Expert, planner: LookAhead, config: TrainConfig) -> None:
+    """Raises UserError where the expert cannot drive."""
+    if expert == "idm":
+        check_env(config)
+        make_env(config, rule_driver=True).close()
+    else:
+        _batch(planner, config, 1).close()
 
 
 def drive(
@@ -30,14 +40,15 @@ def drive(
     stop: as in ``evaluate``. Raises UserError where the expert cannot drive.
     """
     if expert == "idm":
-        check_env(config)
         return rule_driver(config, seeds, stop)
     envs = _batch(planner, config, min(config.n_envs, len(seeds)))
     with closing(envs):
         return evaluate(envs, lambda observations: planner.actions(envs.envs), seeds, stop)
 
 
-def films(expert: Expert, planner: LookAhead, config: TrainConfig, seed: int, folder: Path) -> Path:
+def film_expert(
+    expert: Expert, planner: LookAhead, config: TrainConfig, seed: int, folder: Path
+) -> Path:
     """An episode on film: what the planner does in a batch, it does again before the camera."""
     if expert == "idm":
         return film(config, lambda observations: np.zeros(1), seed, folder, rule_driver=True)

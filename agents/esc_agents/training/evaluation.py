@@ -84,6 +84,7 @@ def evaluate_expert(
     """
     config = config_for_env(env)
     config = config.model_copy(update={"env_config": merge(config.env_config, env_config)})
+    experts.check(expert, planner, config)
     _check_outputs(video, json_file)
     with StopOnSignal() as stop:
         seeds = range(seed, seed + episodes)
@@ -95,7 +96,7 @@ def evaluate_expert(
     summary = _tell(name, f"{driven}; ", driven, drives, json_file)
     if video:
         for drive in drives[:videos]:
-            say(f"Video: {experts.films(expert, planner, config, drive.seed, video)}")
+            say(f"Video: {experts.film_expert(expert, planner, config, drive.seed, video)}")
     return summary
 
 

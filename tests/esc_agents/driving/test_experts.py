@@ -9,7 +9,7 @@ from PIL import Image
 from esc_agents.cli import eval as eval_cli
 from esc_agents.driving.baselines import rule_driver
 from esc_agents.driving.environments import make_env
-from esc_agents.driving.experts import drive, films
+from esc_agents.driving.experts import drive, film_expert
 from esc_gym.planning import LookAhead
 from tests.esc_agents.tiny import tiny
 
@@ -36,7 +36,7 @@ def test_its_episode_is_that_of_its_actions_in_a_single_environment(monkeypatch,
     )
     planner, config = LookAhead(horizon=3), tiny()
     (episode,) = drive("planner", planner, config, [5])
-    films("planner", planner, config, 5, tmp_path)
+    film_expert("planner", planner, config, 5, tmp_path)
     env, rewards = make_env(config), []
     env.reset(seed=5)
     for (action,) in taken[: episode.length]:
