@@ -99,7 +99,9 @@ class LookAhead:
         plans = np.repeat(tried, [*[1] * self.free, self.horizon - self.free], axis=1)
         return plans.reshape(len(numbers), -1, self.horizon)
 
-    def values(self, envs: SetVectorEnv, indices: Sequence[int] | None = None) -> NDArray:
+    def values(
+        self, envs: SetVectorEnv, indices: Sequence[int] | NDArray | None = None
+    ) -> NDArray:
         """Discounted return of each action within the horizon: [num_envs or len(indices), A].
 
         0 where an episode has ended. ``envs`` is left as it is. Raises ValueError where the batch
@@ -120,10 +122,16 @@ class LookAhead:
 
     def actions(self, envs: SetVectorEnv) -> NDArray[np.int64]:
         """The best action of each environment; of equally good ones IDLE, else the first."""
-        values = self.values(envs)
-        best = values.argmax(axis=1)
-        neutral = meta_actions(envs).get(NEUTRAL, 0)
-        return np.where(values[:, neutral] == values.max(axis=1), neutral, best)
+        return best(self.values(envs), meta_actions(envs))
+
+
+def best(values: NDArray, numbers: dict[str, int]) -> NDArray[np.int64]:
+    """The action with the highest of ``values`` [K, A]; of equally good ones IDLE, else the first.
+
+    numbers: of ``meta_actions``.
+    """
+    neutral = numbers.get(NEUTRAL, 0)
+    return np.where(values[:, neutral] == values.max(axis=1), neutral, values.argmax(axis=1))
 
 
 def rollouts(
@@ -136,10 +144,7 @@ def rollouts(
     the reward of a step that ends an episode with the ego crashed. Returns [K]; nothing is earned
     after the end of an episode.
     """
-    copies = envs.fork(indices)
-    # What ends stays as it is: resets would cost time, and draw random numbers.
-    copies.autoreset_mode = copies.engine.mode = AutoresetMode.DISABLED
-    copies.rest(copies.engine.state.heads["over"] != RUNNING)
+    copies = _copies(envs, indices)
     returns = np.zeros(copies.num_envs)
     for step in range(actions.shape[1]):
         _, rewards, terminated, truncated = copies.advance(actions[:, step])
@@ -148,6 +153,49 @@ def rollouts(
         copies.rest(terminated | truncated)
     copies.close()
     return returns
+
+
+def idm_actions(
+    envs: SetVectorEnv, indices: Sequence[int] | NDArray | None = None
+) -> NDArray[np.int64]:
+    """What IDM and MOBIL would do in the ego's place, as the nearest meta-action: [num_envs], or of
+    ``indices``.
+
+    That driver is as highway-env's are by default, may change lanes at once, and wants the highest
+    target speed that the ego's meta-actions have. Nearest is the action that aims at the lane at
+    which it aims, and after a policy step is nearest to its speed; of equally near ones IDLE.
+    ValueError without meta-actions, or where the batch engine does not simulate this.
+    """
+    numbers = meta_actions(envs)
+    chosen = indices_of(range(envs.num_envs) if indices is None else indices, envs.num_envs)
+    tried = [*range(len(numbers)), numbers.get(NEUTRAL, 0)]  # the last one: the driver itself
+    copies = _copies(envs, np.repeat(chosen, len(tried)))
+    state = copies.engine.state
+    drivers = np.arange(len(tried) - 1, copies.num_envs, len(tried))
+    places = drivers, state.counts[drivers, EGO]
+    theirs = state.vehicles[places]
+    theirs["kind"], theirs["changes_lanes"] = IDM, 1
+    theirs["target_speed"] = copies.engine.env.unwrapped.action_type.target_speeds[-1]
+    theirs["timer"] = IDMVehicle.LANE_CHANGE_DELAY
+    for name, value in NOMINAL.items():
+        theirs[name] = value
+    state.vehicles[places] = theirs
+    copies.advance(np.tile(tried, len(chosen)))
+    egos = state.vehicles[np.arange(copies.num_envs), state.counts[:, EGO]]
+    lanes, speeds = (egos[name].reshape(-1, len(tried)) for name in ("target_lane", "speed"))
+    copies.close()
+    nearness = -np.abs(speeds[:, :-1] - speeds[:, -1:])
+    elsewhere = lanes[:, :-1] != lanes[:, -1:]
+    nearness[elsewhere & ~elsewhere.all(axis=1, keepdims=True)] = -np.inf
+    return best(nearness, numbers)
+
+
+def _copies(envs: SetVectorEnv, indices: Any) -> SetVectorEnv:
+    """Copies that are driven on and left: resets would cost time, and draw random numbers."""
+    copies = envs.fork(indices)
+    copies.autoreset_mode = copies.engine.mode = AutoresetMode.DISABLED
+    copies.rest(copies.engine.state.heads["over"] != RUNNING)
+    return copies
 
 
 def guess(

@@ -11,8 +11,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 AGENTS = ROOT / "agents" / "esc_agents"
 FLOORS = (
-    {"ground"}, {"reporting"}, {"driving"}, {"training"}, {"compare", "paper", "proof"},
-    {"tuning", "zoo"}, {"cli"},
+    {"ground"}, {"reporting"}, {"driving"}, {"training"},
+    {"compare", "imitation", "paper", "proof"}, {"tuning", "zoo"}, {"cli"},
 )  # fmt: skip
 LINES = 350
 

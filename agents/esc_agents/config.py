@@ -30,6 +30,10 @@ Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]  # what NumPy takes
 Schedule = Literal["constant", "linear"]
 Algorithm = Literal["ppo", "sac"]
+NOUNS = {
+    "train": "scenario", "compare": "comparison", "tune": "search", "imitate": "imitation",
+}  # fmt: skip
+"""Kinds of configurations, and what one of each is called."""
 
 
 def flow(value: Any) -> str:
@@ -236,7 +240,7 @@ def configs_folder() -> Path:
 
 
 def shipped(kind: str) -> dict[str, Path]:
-    """The YAML files that come with the package, by name. kind: "train", "compare" or "tune"."""
+    """The YAML files that come with the package, by name. kind: of NOUNS."""
     return {path.stem: path for path in sorted((configs_folder() / kind).glob("*.yaml"))}
 
 
@@ -259,7 +263,7 @@ def load(name: str | Path, kind: str, model: type[M], trust: bool = False) -> M:
     if not path.is_file():
         known = shipped(kind)
         if str(name) not in known:
-            what = {"train": "scenario", "compare": "comparison", "tune": "search"}[kind]
+            what = NOUNS[kind]
             raise UserError(
                 f"config: no file {str(name)!r} and no such {what}{_nearest(str(name), known)}"
             )
@@ -336,7 +340,7 @@ def _nearest(name: str, known: Any) -> str:
     return f"; did you mean {near[0]!r}?" if near else f"; expected one of {', '.join(known)}"
 
 
-def dump(config: TrainConfig) -> str:
-    """YAML that ``load_config`` reads back to an equal configuration."""
+def dump(config: Model) -> str:
+    """YAML that ``load`` reads back to an equal configuration."""
     values = {"schema": SCHEMA, **config.model_dump(mode="json", exclude={"run_dir"})}
     return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)

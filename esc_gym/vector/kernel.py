@@ -10,7 +10,7 @@ import numpy as np
 from esc_gym.fastsim.cache import cached
 from esc_gym.fastsim.kernel import COMMAND, EGO, FRAME, ITEMS, ROAD_STEPS, VEHICLES, scene_of
 from esc_gym.fastsim.numerics import compiled
-from esc_gym.fastsim.records import MDP
+from esc_gym.fastsim.records import IDM, MDP
 from esc_gym.vector.measures import Measured, measure
 from esc_gym.vector.observe import Output, Spec, observe
 from esc_gym.vector.state import ENDED, ROAD, RUNNING, SHUFFLE
@@ -54,6 +54,8 @@ def decide(
             progress[e, FRAME] = frames
             continue
         me = vehicles[e, counts[e, EGO]]
+        if me.kind == IDM:  # nobody commands it
+            continue
         if me.kind != MDP:
             me.steering, me.acceleration = controls[e, 0], controls[e, 1]
             if speed_range[0] <= speed_range[1]:

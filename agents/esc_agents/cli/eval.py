@@ -7,37 +7,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt
+from pydantic import BaseModel, ConfigDict, PositiveInt
 
 from esc_agents import pretrained
 from esc_agents.cli import Trust, guarded, parse
 from esc_agents.config import Mapping, Seed
 from esc_agents.errors import UserError
-from esc_gym.planning import LookAhead
+from esc_agents.imitation.settings import PlannerConfig
 
 PROGRAM = "esc-eval"
-
-
-class PlannerArguments(BaseModel):
-    """How far, and with what knowledge, a planner looks ahead (esc_gym.planning.LookAhead)."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
-
-    knows: Literal["all", "observed"] = "all"
-    """all: what the others want, and what is still to be drawn; observed: what can be seen."""
-    horizon: PositiveInt = LookAhead.horizon
-    """Policy steps looked ahead."""
-    free: PositiveInt = LookAhead.free
-    """In how many of them, from the first on, every action is tried."""
-    continuations: tuple[str, ...] | None = LookAhead.continuations
-    """Meta-actions of which each is tried from then on; None: all."""
-    discount: Annotated[float, Field(ge=0.0, le=1.0)] = LookAhead.discount
-    crash_cost: NonNegativeFloat = LookAhead.crash_cost
-    """What a collision costs beyond what the scenario takes for it."""
-    futures: PositiveInt = LookAhead.futures
-    """Guesses of what cannot be seen, over which is averaged."""
-    seed: Seed = LookAhead.seed
-    """Of the guesses."""
 
 
 class EvaluateArguments(BaseModel):
@@ -53,7 +31,7 @@ class EvaluateArguments(BaseModel):
     expert: Literal["planner", "idm"] | None = None
     """In place of a policy that was trained: a planner that looks ahead in copies of the scene, or
     highway-env's own driver; in the scenario or id of --env."""
-    planner: PlannerArguments = PlannerArguments()
+    planner: PlannerConfig = PlannerConfig()
     """Of --expert planner."""
     episodes: PositiveInt = 20
     seed: Seed = 2_000_000
@@ -93,7 +71,7 @@ def command(args: list[str]) -> int:
         )
     if expert:
         return _expert(expert, planner, given)
-    if planner != PlannerArguments():
+    if planner != PlannerConfig():
         raise UserError("--planner: expected --expert planner beside it")
     if name:
         given["run_dir"] = pretrained.directory(name)
@@ -103,10 +81,10 @@ def command(args: list[str]) -> int:
     return 0
 
 
-def _expert(expert: Any, planner: PlannerArguments, given: dict[str, Any]) -> int:
+def _expert(expert: Any, planner: PlannerConfig, given: dict[str, Any]) -> int:
     if given["env"] is None:
         raise UserError(f"--expert {expert}: expected --env, in which to drive")
-    if expert == "idm" and planner != PlannerArguments():
+    if expert == "idm" and planner != PlannerConfig():
         raise UserError("--planner: expected --expert planner beside it, got --expert idm")
     if given["shuffle"]:
         raise UserError(f"--shuffle: expected a trained policy; {expert} does not look at a set")
@@ -114,11 +92,7 @@ def _expert(expert: Any, planner: PlannerArguments, given: dict[str, Any]) -> in
 
     for key in ("run_dir", "shuffle", "device", "trust"):
         del given[key]
-    try:
-        looking = LookAhead(**dict(planner))
-    except ValueError as error:
-        raise UserError(f"--planner.{error}") from error
-    evaluate_expert(expert, looking, **given)
+    evaluate_expert(expert, planner.make(), **given)
     return 0
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from esc_agents.driving.films import film
 from esc_agents.driving.vectorised import closing, unknown_to_engine
 from esc_agents.errors import UserError
 from esc_gym.planning import LookAhead
+from esc_gym.vector.environment import SetVectorEnv
 
 Expert = Literal["planner", "idm"]
 
@@ -28,7 +30,7 @@ def check(expert: Expert, planner: LookAhead, config: TrainConfig) -> None:
         check_env(config)
         make_env(config, rule_driver=True).close()
     else:
-        _batch(planner, config, 1).close()
+        check_planner(planner, config)
 
 
 def drive(
@@ -41,7 +43,7 @@ def drive(
     """
     if expert == "idm":
         return rule_driver(config, seeds, stop)
-    envs = _batch(planner, config, min(config.n_envs, len(seeds)))
+    envs = BatchVecEnv(config, min(config.n_envs, len(seeds)), evaluation=True)
     with closing(envs):
         return evaluate(envs, lambda observations: planner.actions(envs.envs), seeds, stop)
 
@@ -53,7 +55,7 @@ def film_expert(
     if expert == "idm":
         return film(config, lambda observations: np.zeros(1), seed, folder, rule_driver=True)
     actions: list[Any] = []
-    envs = _batch(planner, config, 1)
+    envs = BatchVecEnv(config, 1, evaluation=True)
     with closing(envs):
 
         def noted(observations: Any) -> Any:
@@ -65,15 +67,26 @@ def film_expert(
     return film(config, lambda observations: next(again), seed, folder)
 
 
-def _batch(planner: LookAhead, config: TrainConfig, count: int) -> BatchVecEnv:
-    """Environments that can be copied. Raises UserError where there are none, or nothing to try."""
+def check_planner(planner: LookAhead, config: TrainConfig) -> None:
+    """Raises UserError where there is nothing to plan with ``planner``."""
+    with copyable("planner", config) as envs, named("planner", config):
+        planner.sequences(envs)
+
+
+@contextmanager
+def copyable(expert: str, config: TrainConfig) -> Iterator[SetVectorEnv]:
+    """An environment that can be copied. Raises UserError, on behalf of ``expert``, for none."""
     check_env(config)
     if reason := unknown_to_engine(config):
-        raise UserError(f"planner: {config.env} is not simulated in batches: {reason}")
-    envs = BatchVecEnv(config, count, evaluation=True)
+        raise UserError(f"{expert}: {config.env} is not simulated in batches: {reason}")
+    with closing(BatchVecEnv(config, 1)) as envs:
+        yield cast(BatchVecEnv, envs).envs
+
+
+@contextmanager
+def named(expert: str, config: TrainConfig) -> Iterator[None]:
+    """What an expert cannot do, as a UserError."""
     try:
-        planner.sequences(envs.envs)
+        yield
     except ValueError as error:
-        envs.close()
-        raise UserError(f"planner: {config.env}: {error}") from error
-    return envs
+        raise UserError(f"{expert}: {config.env}: {error}") from error

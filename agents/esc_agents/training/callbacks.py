@@ -244,12 +244,18 @@ class Checkpoints(BaseCallback):
 
 
 class StopOnSignal:
-    """Ctrl-C and SIGTERM end training at the next checkpoint; a second one at once."""
+    """Ctrl-C and SIGTERM end training at the next checkpoint; a second one at once.
+
+    Called, it says whether it is to end.
+    """
 
     SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
     def __init__(self) -> None:
         self.interrupted = False
+
+    def __call__(self) -> bool:
+        return self.interrupted
 
     def __enter__(self) -> StopOnSignal:
         self._previous = {number: signal.signal(number, self._handle) for number in self.SIGNALS}

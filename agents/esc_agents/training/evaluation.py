@@ -60,7 +60,7 @@ def evaluate_run(
     try:
         with StopOnSignal() as stop:
             seeds = range(seed, seed + episodes)
-            drives = evaluate(envs, model_policy(model), seeds, lambda: stop.interrupted)
+            drives = evaluate(envs, model_policy(model), seeds, stop)
     finally:
         envs.close()
     if stop.interrupted:
@@ -88,7 +88,7 @@ def evaluate_expert(
     _check_outputs(video, json_file)
     with StopOnSignal() as stop:
         seeds = range(seed, seed + episodes)
-        drives = experts.drive(expert, planner, config, seeds, lambda: stop.interrupted)
+        drives = experts.drive(expert, planner, config, seeds, stop)
     if stop.interrupted:
         raise KeyboardInterrupt
     driven = f"{env} {flow(env_config) if env_config else ''}".strip()

@@ -88,8 +88,8 @@ def load_model(config: TrainConfig, directory: Path, trust: bool = False) -> tup
     return model, model.num_timesteps
 
 
-def describe(config: TrainConfig, model: BaseAlgorithm, env: Any, directory: Path) -> str:
-    """What is about to be trained, on two lines."""
+def describe(config: TrainConfig, model: BaseAlgorithm, env: Any) -> str:
+    """What is about to be trained, on a line."""
     network: Any = model.policy if config.algo == "ppo" else model.policy.actor
     extractor = network.features_extractor
     n, d1 = env.observation_space["vehicles"].shape
@@ -97,6 +97,5 @@ def describe(config: TrainConfig, model: BaseAlgorithm, env: Any, directory: Pat
     return (
         f"{config.env}: sets of up to N={n} vehicles, d1={d1}, d2={d2}; {config.repr}: "
         f"{extractor.features_dim} features, {parameter_count(extractor):,} parameters; "
-        f"{config.algo} on {model.device}, {config.n_envs} environments\n"
-        f"{config.steps:,} steps into {directory}"
+        f"{config.algo} on {model.device}, {config.n_envs} environments"
     )

@@ -9,7 +9,7 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from shutil import rmtree
@@ -27,18 +27,23 @@ RESULTS, CHECKSUMS = "results.json", "SHA256SUMS"
 STEP = "time/total_timesteps"
 
 
-def default_run_dir(config: TrainConfig) -> Path:
-    """runs/<env>-<repr>-<algo>-<seed>-<time>"""
+def default_run_dir(config: TrainConfig, way: str = "") -> Path:
+    """runs/<env>-<repr>-<way>-<seed>-<time>; way: of learning, "" for the algorithm."""
     representation = config.repr.replace(":", ".")
     stamp = time.strftime("%Y%m%d-%H%M%S")
-    return Path("runs") / f"{config.env}-{representation}-{config.algo}-{config.seed}-{stamp}"
+    return (
+        Path("runs") / f"{config.env}-{representation}-{way or config.algo}-{config.seed}-{stamp}"
+    )
 
 
-def create(path: Path, config: TrainConfig, wrapper: dict[str, Any], device: str = "cpu") -> Path:
+def create(
+    path: Path, config: TrainConfig, wrapper: dict[str, Any], device: str = "cpu",
+    texts: Mapping[str, str] | None = None,
+) -> Path:  # fmt: skip
     """A new run directory with config.yaml, command.txt, versions.json and wrapper.json.
 
     It is there with all of them, or not at all. device: what the run computes on, for
-    versions.json.
+    versions.json. texts: further files, by name.
     """
     check_free(path)
     made = files.temporary_of(path)
@@ -49,6 +54,8 @@ def create(path: Path, config: TrainConfig, wrapper: dict[str, Any], device: str
         note_command(made)
         files.write_json(made / "versions.json", files.versions() | {"device": device})
         files.write_json(made / "wrapper.json", wrapper)
+        for name, text in (texts or {}).items():
+            files.write_text(made / name, text)
         files.put_in_place(made, path)
     except OSError as error:
         raise UserError(f"run directory {path}: {error.strerror}") from error

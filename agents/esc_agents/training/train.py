@@ -19,22 +19,13 @@ from torch.utils.tensorboard import SummaryWriter
 
 from esc_agents import files, pretrained
 from esc_agents.config import TrainConfig
-from esc_agents.driving.baselines import action_names, blind_policies, rule_driver, verdict
+from esc_agents.driving.baselines import action_names
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import in_training, wrapper_json
-from esc_agents.driving.episodes import (
-    Summary,
-    as_rows,
-    evaluate,
-    model_policy,
-    seeds,
-    table,
-)
+from esc_agents.driving.episodes import Summary, model_policy, seeds
 from esc_agents.driving.policies import save_policy, start_from
-from esc_agents.driving.rule_driver import RULE
 from esc_agents.driving.vectorised import closing, vectorise
-from esc_agents.errors import UserError, reason, say
-from esc_agents.reporting.tables import show, terminal
+from esc_agents.errors import UserError, say
 from esc_agents.training import checkpoint, run_directory
 from esc_agents.training.callbacks import (
     Checkpoints,
@@ -48,6 +39,7 @@ from esc_agents.training.callbacks import (
     Stopped,
 )
 from esc_agents.training.models import ALGORITHMS, describe, new_model
+from esc_agents.training.results import finish, results, rule_summary
 
 
 def train(
@@ -80,7 +72,8 @@ def train(
             run_directory.create(directory, config, wrapper_json(probe), str(model.device))
             stack.enter_context(run_directory.locked(directory))
         training = Training(config, directory, model, probe, judges, listeners)
-        say(describe(config, model, probe, directory))
+        say(describe(config, model, probe))
+        say(f"{config.steps:,} steps into {directory}")
         return training.run(found)
 
 
@@ -179,21 +172,17 @@ class Training:
         """Train, evaluate, write and print. found: of ``checkpoint.restore``, None at the start."""
         config, directory, model = self.config, self.directory, self.model
         with StopOnSignal() as stop:
-            rule = self._rule_driver(stop)
+            rule = rule_summary(config, stop)
             self._learn(found, stop, rule)
             files.write_atomically(directory / "model.zip", model.save)
             self.save_policy("policy")
-            results = self._results(stop, rule)
+            names = action_names(self.probe)
+            found_out = results(config, model_policy(model), self.judges, names, rule, stop)
         if stop.interrupted:
             say(f"Stopped after {model.num_timesteps:,} steps; the model is saved.")
             say(f"Continue with: esc-train --resume {directory}")
             return False
-        run_directory.finish(directory, as_rows(results))
-        title = f"{config.env}, {config.repr}, {config.algo}, {model.num_timesteps:,} steps"
-        show(terminal(table(results), f"{title}; episodes: {config.evaluation.episodes}"))
-        blind = {name: s for name, s in results.items() if name not in (config.repr, RULE)}
-        say(verdict(config.repr, results[config.repr], blind))
-        say(f"Run directory: {directory}")
+        finish(config, directory, found_out, f"{config.algo}, {model.num_timesteps:,} steps")
         return True
 
     def _learn(
@@ -208,11 +197,11 @@ class Training:
         model.set_logger(Logger(str(directory), [metrics, tensorboard]))
         every = config.evaluation.every or max(1000, config.steps // 5)
         evaluation = FixedSeedEvaluation(self.judges, seeds(config), every, directory)
-        evaluation.stopped = lambda: stop.interrupted
+        evaluation.stopped = stop
         evaluation.rule = rule
         evaluation.save_best = partial(self.save_policy, "best_policy")
         folder = directory / "checkpoints"
-        saved = Checkpoints(folder, config.checkpoint_every, lambda: stop.interrupted, say)
+        saved = Checkpoints(folder, config.checkpoint_every, stop, say)
         faults = Faults(config)
         saved.callbacks = callbacks = [faults, DrivingLog(), evaluation, saved]
         if config.algo == "ppo" and config.ppo.ent_coef_schedule == "linear":
@@ -239,32 +228,3 @@ class Training:
             saved.writer.wait()
             model.logger.close()
         checkpoint.thin_out(folder)  # for a session that was killed before it had done so
-
-    def _results(self, stop: StopOnSignal, rule: Summary | None) -> dict[str, Summary]:
-        """The trained policy, the blind ones and IDM/MOBIL on the same episodes."""
-        config, judges = self.config, self.judges
-        names = action_names(self.probe)
-        space, seed = self.probe.action_space, config.evaluation.seed
-        blind = blind_policies(space, judges.num_envs, names, seed)
-        policies = {config.repr: model_policy(self.model), **blind}
-        results = {}
-        if not stop.interrupted:
-            say(f"Evaluating {config.repr} beside {len(blind)} blind policies and {RULE} ...")
-        for name, policy in policies.items():
-            if stop.interrupted:
-                break
-            episodes = evaluate(judges, policy, seeds(config), lambda: stop.interrupted)
-            if episodes:
-                results[name] = Summary.of(episodes)
-        if rule:
-            results[RULE] = rule
-        return results
-
-    def _rule_driver(self, stop: StopOnSignal) -> Summary | None:
-        """How IDM/MOBIL drives; None, and a line that says why, where it cannot."""
-        try:
-            drives = rule_driver(self.config, seeds(self.config), lambda: stop.interrupted)
-        except Exception as error:  # nothing that it meets may cost the run its results
-            say(f"{RULE} is missing: {reason(error)}")
-            return None
-        return Summary.of(drives) if drives else None

@@ -192,7 +192,7 @@ def test_a_line_says_when_training_is_above_the_rule_driver(
     reward, above, tmp_path, monkeypatch, capsys
 ):
     drives = [Episode(0, reward, 1, False, 0.0, 0.0, 0.0, 0, 0.0, 1.0)] * 2
-    monkeypatch.setattr("esc_agents.training.train.rule_driver", lambda *arguments: drives)
+    monkeypatch.setattr("esc_agents.training.results.rule_driver", lambda *arguments: drives)
     assert train(tiny(run_dir=tmp_path / "run"))
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("step ")]
     assert lines

@@ -1,0 +1,1 @@
+"""Learning from labels: what experts say that actions are worth."""

@@ -1,0 +1,137 @@
+"""Labelled episodes as a Minari data set, the Farama Foundation's standard, in a directory.
+
+The directory is one of Minari's: with MINARI_DATASETS_PATH=runs/data, merge-dense-planner-v0 is
+runs/data/merge-dense-planner-v0. Beside what Minari says of every data set, its metadata say who
+labelled, and what the observations mean; infos hold the expert's values.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from shutil import rmtree
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from esc_agents import files
+from esc_agents.driving.environments import MEANING
+from esc_agents.errors import UserError
+from esc_agents.imitation.labels import Drive
+from esc_agents.training.run_directory import verify, write_checksums
+
+NAME = re.compile(r"[-_\w]+-v\d+", re.ASCII)  # of Minari's data sets, without a namespace
+VALUES = "expert_values"
+ROOT = "MINARI_DATASETS_PATH"
+ABOUT = "esc_gym"  # what of the metadata is ours
+
+
+def check_name(path: Path) -> None:
+    """Raises UserError where a directory's name is none for a data set."""
+    if not NAME.fullmatch(path.name):
+        raise UserError(f"out: expected a name that ends with a version, as -v0, got {path.name!r}")
+
+
+def minari() -> Any:
+    """The package. Raises UserError where it is not installed."""
+    try:
+        import h5py  # noqa: F401, what Minari keeps its data in
+        import minari
+    except ModuleNotFoundError as missing:
+        raise UserError(
+            f"{missing.name} is not installed; install it with: pip install 'esc-gym[data]'"
+        ) from missing
+    return minari
+
+
+def write(path: Path, drives: Sequence[Drive], env: gym.Env, about: dict[str, Any]) -> None:
+    """Make the data set ``path`` of all ``drives``: it is there whole, or not at all.
+
+    env: what they were driven in; about: further metadata, for JSON.
+    """
+    package = minari()
+    root = files.temporary_of(path)
+    try:
+        rmtree(root, ignore_errors=True)
+        root.mkdir(parents=True)
+        with _root(root):
+            made = package.create_dataset_from_buffers(
+                path.name, [_buffer(package, drive) for drive in drives],
+                env=env.spec, eval_env=env.spec, algorithm_name=about["expert"],
+                observation_space=env.observation_space, action_space=env.action_space,
+                requirements=["esc-gym"],
+            )  # fmt: skip
+            made.storage.update_metadata({ABOUT: json.dumps(about)})
+        write_checksums(root / path.name / "data")
+        files.put_in_place(root / path.name, path)
+    finally:
+        rmtree(root, ignore_errors=True)
+
+
+def read(path: Path, observation: dict[str, Any], actions: int) -> list[Drive]:
+    """The episodes of a data set.
+
+    observation: what ``wrapper_json`` says of those who are to learn from it; actions: how many
+    they have. Raises UserError where the data are damaged, or are of others.
+    """
+    package = minari()
+    folder = path / "data"
+    if not (folder / "metadata.json").is_file():
+        raise UserError(f"data: no data set in {path}: expected data/metadata.json in it")
+    verify(folder, "metadata.json", "main_data.hdf5")
+    try:
+        found = package.MinariDataset(folder)
+        about = json.loads(found.storage.metadata[ABOUT])
+    except KeyError as missing:
+        raise UserError(
+            f"data {path}: expected a data set of esc-collect, got another"
+        ) from missing
+    except Exception as error:  # whatever HDF5 and JSON make of a file that is none
+        raise UserError(f"data {path} is damaged: {type(error).__name__}: {error}") from error
+    here, there = json.loads(json.dumps(observation)), about["observation"]
+    if what := next((key for key in MEANING if here[key] != there.get(key)), None):
+        raise UserError(
+            f"data {path}: expected the same observation, got {what} {there.get(what)} there and "
+            f"{here[what]} here"
+        )
+    if about["actions"] != actions:
+        raise UserError(
+            f"data {path}: expected labels of {actions} actions, got {about['actions']}"
+        )
+    return [_drive(episode) for episode in found.iterate_episodes()]
+
+
+def _buffer(package: Any, drive: Drive) -> Any:
+    ends = np.zeros(len(drive.actions), bool)
+    ends[-1] = True
+    return package.data_collector.EpisodeBuffer(
+        seed=drive.seed, observations=drive.observations, actions=drive.actions,
+        rewards=drive.rewards, terminations=ends & drive.terminated,
+        truncations=ends & (not drive.terminated), infos={VALUES: drive.values},
+    )  # fmt: skip
+
+
+def _drive(episode: Any) -> Drive:
+    return Drive(
+        int(episode.seed) if hasattr(episode, "seed") else -1,
+        dict(episode.observations), episode.actions, episode.infos[VALUES],
+        np.asarray(episode.rewards, np.float32), bool(episode.terminations[-1]),
+    )  # fmt: skip
+
+
+@contextmanager
+def _root(folder: Path) -> Iterator[None]:
+    """Minari knows where its data lie by the environment only."""
+    before = os.environ.get(ROOT)
+    os.environ[ROOT] = str(folder)
+    try:
+        yield
+    finally:
+        del os.environ[ROOT]
+        if before is not None:
+            os.environ[ROOT] = before

@@ -1,0 +1,149 @@
+"""What is to be labelled, by whom, and how one learns from it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+
+from esc_agents.config import (
+    EncoderConfig,
+    Mapping,
+    Model,
+    ObservationConfig,
+    Probability,
+    Seed,
+    TrainConfig,
+    config_for_env,
+)
+from esc_agents.errors import UserError
+from esc_gym.planning import LookAhead
+from esc_gym.registration import merge
+
+IMITATE = "imitate.yaml"
+"""What a run of esc-imitate has beside config.yaml."""
+Loss = Literal["values", "cross-entropy", "regret"]
+
+
+class PlannerConfig(Model):
+    """How far, and with what knowledge, a planner looks ahead (esc_gym.planning.LookAhead)."""
+
+    knows: Literal["all", "observed"] = "all"
+    """all: what the others want, and what is still to be drawn; observed: what can be seen."""
+    horizon: PositiveInt = LookAhead.horizon
+    """Policy steps looked ahead."""
+    free: PositiveInt = LookAhead.free
+    """In how many of them, from the first on, every action is tried."""
+    continuations: tuple[str, ...] | None = LookAhead.continuations
+    """Meta-actions of which each is tried from then on; None: all."""
+    discount: Probability = LookAhead.discount
+    crash_cost: NonNegativeFloat = LookAhead.crash_cost
+    """What a collision costs beyond what the scenario takes for it."""
+    futures: PositiveInt = LookAhead.futures
+    """Guesses of what cannot be seen, over which is averaged."""
+    seed: Seed = LookAhead.seed
+    """Of the guesses."""
+
+    def make(self) -> LookAhead:
+        """The planner. Raises UserError where its numbers do not go together."""
+        try:
+            return LookAhead(**dict(self))
+        except ValueError as error:
+            raise UserError(f"--planner.{error}") from error
+
+
+class CollectConfig(Model):
+    """Episodes with what an expert thinks of every step."""
+
+    env: str = "highway-v0"
+    """highway-env id (highway-v0), or the name of a scenario (highway-dense)."""
+    expert: str = "planner"
+    """Who labels: planner, idm (what IDM and MOBIL would do, as the nearest meta-action), or
+    run:DIR (the policy of a run)."""
+    planner: PlannerConfig = PlannerConfig()
+    """Of the expert planner."""
+    episodes: PositiveInt = 100
+    noise: Probability = 0.2
+    """Share of the steps in which a random action is taken: the labels are the expert's all the
+    same, also of states into which it would not have come."""
+    seed: Seed = 0
+    """Seed of the first episode; the others follow."""
+    n_envs: PositiveInt = 64
+    """Environments that are driven at once."""
+    env_config: Mapping = Field(default_factory=dict)
+    """highway-env configuration, merged into the scenario's."""
+
+    def train_config(self) -> TrainConfig:
+        """The scenario, as runs in it have it."""
+        base = config_for_env(self.env)
+        changes = {
+            "env_config": merge(base.env_config, self.env_config),
+            "algo": "ppo", "n_envs": self.n_envs, "seed": self.seed,
+        }  # fmt: skip
+        return base.model_copy(update=changes)
+
+
+class ImitateConfig(Model):
+    """Supervised training of a policy on an expert's labels, and then, in rounds, on labels of what
+    it meets itself (DAgger; Ross, Gordon and Bagnell, 2011)."""
+
+    env: str = "highway-v0"
+    """highway-env id (highway-v0), or the name of a scenario (highway-dense)."""
+    repr: str = "esc"
+    """Representation: esc, fp, ap, mean, max, attention, or module:Class."""
+    expert: str | None = None
+    """Who labels: planner, idm, or run:DIR; with --data it labels the rounds only."""
+    data: Path | None = None
+    """Directory that esc-collect wrote, to begin with."""
+    planner: PlannerConfig = PlannerConfig(free=1)
+    """Of the expert planner."""
+    labels: PositiveInt = 8000
+    """Labels in each round, to the end of the last episode."""
+    noise: Probability = 0.2
+    """Share of the steps in which a random action is taken while the expert drives."""
+    rounds: NonNegativeInt | None = None
+    """Rounds in which the learner drives and the expert labels what it meets; default: 3, without
+    an expert 0."""
+    loss: Loss = "values"
+    """values: squared error of the values of all actions; cross-entropy: beside the expert's own
+    choice, softened; regret: what the learner's choice is worth less than the best."""
+    temperature: PositiveFloat = 0.25
+    """Of softmax(values / temperature), the policy that is learned; values in units of how much
+    they differ between the actions."""
+    epochs: PositiveInt = 10
+    """Passes over all labels so far, in each round."""
+    batch_size: Annotated[int, Field(ge=2)] = 512
+    learning_rate: PositiveFloat = 1e-3
+    """At the beginning of each round; falls to 0 within it."""
+    seed: Seed = 0
+    n_envs: PositiveInt = 64
+    """Environments that are driven at once."""
+    threads: PositiveInt = 1
+    """torch's threads on the CPU."""
+    device: str = "auto"
+    """torch device: auto, cpu, cuda, cuda:1."""
+    env_config: Mapping = Field(default_factory=dict)
+    """highway-env configuration, merged into the scenario's."""
+    observation: ObservationConfig = ObservationConfig()
+    encoder: EncoderConfig = EncoderConfig()
+    run_dir: Path | None = None
+    """New directory for the run; default: runs/<env>-<repr>-imitation-<seed>-<time>."""
+
+    @property
+    def dagger_rounds(self) -> int:
+        """``rounds``, with its default."""
+        if self.rounds is None:
+            return 3 if self.expert else 0
+        return self.rounds
+
+    def train_config(self) -> TrainConfig:
+        """The same run as esc-train's would be, with the scenario's PPO settings."""
+        base = config_for_env(self.env)
+        changes = {
+            name: getattr(self, name)
+            for name in ("repr", "seed", "n_envs", "threads", "device", "observation", "encoder",
+                         "run_dir")
+        }  # fmt: skip
+        changes["env_config"] = merge(base.env_config, self.env_config)
+        return base.model_copy(update={**changes, "algo": "ppo"})
