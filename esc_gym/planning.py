@@ -99,9 +99,7 @@ class LookAhead:
         plans = np.repeat(tried, [*[1] * self.free, self.horizon - self.free], axis=1)
         return plans.reshape(len(numbers), -1, self.horizon)
 
-    def values(
-        self, envs: SetVectorEnv, indices: Sequence[int] | NDArray | None = None
-    ) -> NDArray:
+    def values(self, envs: SetVectorEnv, indices: Sequence[int] | NDArray | None = None) -> NDArray:
         """Discounted return of each action within the horizon: [num_envs or len(indices), A].
 
         0 where an episode has ended. ``envs`` is left as it is. Raises ValueError where the batch

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -59,10 +60,16 @@ def write(path: Path, drives: Sequence[Drive], env: gym.Env, about: dict[str, An
     try:
         rmtree(root, ignore_errors=True)
         root.mkdir(parents=True)
-        with _root(root):
+        with _root(root), warnings.catch_warnings():
+            # Minari recommends to name authors, whom only those know who publish the data.
+            warnings.filterwarnings(
+                "ignore", "`(author|author_email|code_permalink)` is", UserWarning
+            )
             made = package.create_dataset_from_buffers(
                 path.name, [_buffer(package, drive) for drive in drives],
                 env=env.spec, eval_env=env.spec, algorithm_name=about["expert"],
+                description=f"Episodes with what {about['expert']} thought of every action, in "
+                f"infos[{VALUES!r}]; written by esc-collect",
                 observation_space=env.observation_space, action_space=env.action_space,
                 requirements=["esc-gym"],
             )  # fmt: skip
@@ -87,6 +94,11 @@ def read(path: Path, observation: dict[str, Any], actions: int) -> list[Drive]:
     try:
         found = package.MinariDataset(folder)
         about = json.loads(found.storage.metadata[ABOUT])
+        noted = found.storage.get_episode_metadata(range(found.total_episodes))
+        drives = [
+            _drive(each["seed"], episode)
+            for each, episode in zip(noted, found.iterate_episodes(), strict=True)
+        ]
     except KeyError as missing:
         raise UserError(
             f"data {path}: expected a data set of esc-collect, got another"
@@ -103,7 +115,7 @@ def read(path: Path, observation: dict[str, Any], actions: int) -> list[Drive]:
         raise UserError(
             f"data {path}: expected labels of {actions} actions, got {about['actions']}"
         )
-    return [_drive(episode) for episode in found.iterate_episodes()]
+    return drives
 
 
 def _buffer(package: Any, drive: Drive) -> Any:
@@ -116,11 +128,10 @@ def _buffer(package: Any, drive: Drive) -> Any:
     )  # fmt: skip
 
 
-def _drive(episode: Any) -> Drive:
+def _drive(seed: int, episode: Any) -> Drive:
     return Drive(
-        int(episode.seed) if hasattr(episode, "seed") else -1,
-        dict(episode.observations), episode.actions, episode.infos[VALUES],
-        np.asarray(episode.rewards, np.float32), bool(episode.terminations[-1]),
+        seed, dict(episode.observations), episode.actions, episode.infos[VALUES],
+        episode.rewards, bool(episode.terminations[-1]),
     )  # fmt: skip
 
 

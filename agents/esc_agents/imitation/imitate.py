@@ -31,11 +31,12 @@ from esc_agents.imitation import datasets, labels
 from esc_agents.imitation.experts import Expert, expert_of
 from esc_agents.imitation.labels import Drive, Labels
 from esc_agents.imitation.learning import fit, measure
-from esc_agents.imitation.settings import IMITATE, ImitateConfig
+from esc_agents.imitation.settings import ImitateConfig
 from esc_agents.training import run_directory
 from esc_agents.training.callbacks import StopOnSignal
 from esc_agents.training.models import describe, new_model
 from esc_agents.training.results import finish, results, rule_summary
+from esc_agents.training.run_directory import IMITATE
 
 
 def imitate(config: ImitateConfig, resume: Path | None = None, trust: bool = False) -> bool:
@@ -53,7 +54,7 @@ def imitate(config: ImitateConfig, resume: Path | None = None, trust: bool = Fal
     probe: Any = check(run)
     expert, given = _labellers(config, run, probe, trust)
     with ExitStack() as stack:
-        envs: Any = stack.enter_context(closing(BatchVecEnv(run, config.n_envs, evaluation=True)))
+        envs: Any = stack.enter_context(closing(BatchVecEnv(run, run.n_envs, evaluation=True)))
         model: Any = new_model(run, envs)
         if resume is None:
             texts = {IMITATE: dump(config)}
@@ -138,7 +139,7 @@ class Imitation:
         first = int(generator.integers(10**7, 2**31))  # no evaluation has such seeds
         drives: list[Drive] = []
         while not stop() and sum(len(drive.actions) for drive in drives) < config.labels:
-            seeds = range(first + len(drives), first + len(drives) + config.n_envs)
+            seeds = range(first + len(drives), first + len(drives) + envs.num_envs)
             drives += labels.collect(envs, seeds, expert, driver, noise, generator, stop)
         if not stop():
             path.parent.mkdir(exist_ok=True)

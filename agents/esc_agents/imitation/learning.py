@@ -38,7 +38,8 @@ class Measured:
 
 def logits(policy: Any, observations: dict[str, Tensor]) -> Tensor:
     """[K, A], of an SB3 ``ActorCriticPolicy`` with discrete actions."""
-    return policy.get_distribution(observations).distribution.logits
+    latent = policy.mlp_extractor.forward_actor(policy.extract_features(observations))
+    return policy.action_net(latent)
 
 
 def by_values(scores: Tensor, targets: Tensor) -> Tensor:

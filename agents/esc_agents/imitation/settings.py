@@ -21,8 +21,6 @@ from esc_agents.errors import UserError
 from esc_gym.planning import LookAhead
 from esc_gym.registration import merge
 
-IMITATE = "imitate.yaml"
-"""What a run of esc-imitate has beside config.yaml."""
 Loss = Literal["values", "cross-entropy", "regret"]
 
 
@@ -105,20 +103,18 @@ class ImitateConfig(Model):
     rounds: NonNegativeInt | None = None
     """Rounds in which the learner drives and the expert labels what it meets; default: 3, without
     an expert 0."""
-    loss: Loss = "values"
-    """values: squared error of the values of all actions; cross-entropy: beside the expert's own
-    choice, softened; regret: what the learner's choice is worth less than the best."""
+    loss: Loss = "cross-entropy"
+    """cross-entropy: beside softmax(values / temperature), so that ties share, and what is nearly
+    as good counts; values: squared error of the values of all actions; regret: what the learner's
+    choices are worth less than the best."""
     temperature: PositiveFloat = 0.25
-    """Of softmax(values / temperature), the policy that is learned; values in units of how much
-    they differ between the actions."""
-    epochs: PositiveInt = 10
+    """In units of how much values differ between the actions of one state."""
+    epochs: PositiveInt = 30
     """Passes over all labels so far, in each round."""
     batch_size: Annotated[int, Field(ge=2)] = 512
     learning_rate: PositiveFloat = 1e-3
     """At the beginning of each round; falls to 0 within it."""
     seed: Seed = 0
-    n_envs: PositiveInt = 64
-    """Environments that are driven at once."""
     threads: PositiveInt = 1
     """torch's threads on the CPU."""
     device: str = "auto"
@@ -142,7 +138,7 @@ class ImitateConfig(Model):
         base = config_for_env(self.env)
         changes = {
             name: getattr(self, name)
-            for name in ("repr", "seed", "n_envs", "threads", "device", "observation", "encoder",
+            for name in ("repr", "seed", "threads", "device", "observation", "encoder",
                          "run_dir")
         }  # fmt: skip
         changes["env_config"] = merge(base.env_config, self.env_config)

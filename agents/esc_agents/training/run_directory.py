@@ -25,6 +25,8 @@ from esc_agents.errors import UserError
 
 RESULTS, CHECKSUMS = "results.json", "SHA256SUMS"
 STEP = "time/total_timesteps"
+IMITATE = "imitate.yaml"
+"""What a run of esc-imitate has beside config.yaml."""
 
 
 def default_run_dir(config: TrainConfig, way: str = "") -> Path:

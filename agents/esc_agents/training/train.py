@@ -101,6 +101,11 @@ def _vectorised(config: TrainConfig) -> Iterator[VecEnv]:
 
 
 def _check_unfinished(config: TrainConfig, directory: Path) -> None:
+    if (directory / run_directory.IMITATE).exists():
+        raise UserError(
+            f"{directory} is a run of esc-imitate: continue it with esc-imitate --resume, or begin "
+            f"a run with its weights, with --start-from {directory}"
+        )
     if not run_directory.finished(directory):
         return
     found = checkpoint.in_order(directory / "checkpoints")

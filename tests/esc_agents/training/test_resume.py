@@ -79,7 +79,7 @@ MOMENTS = {
     "in an evaluation": ("esc_agents.driving.episodes._episode", 4),
     "in a checkpoint": ("esc_agents.training.checkpoint.capture", 4),
     "before the first evaluation": ("esc_agents.training.callbacks.DrivingLog._on_step", 21),
-    "in the final evaluation": ("esc_agents.training.train.blind_policies", 1),
+    "in the final evaluation": ("esc_agents.training.results.blind_policies", 1),
 }
 
 
