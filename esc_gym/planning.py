@@ -23,6 +23,7 @@ from gymnasium.vector import AutoresetMode
 from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 
+from esc_gym.fastsim.behavior import PARAMETERS, original_behavior
 from esc_gym.fastsim.kernel import EGO, ITEMS, VEHICLES
 from esc_gym.fastsim.records import CONTROLLED, IDM, LINEAR, NO_LANE
 from esc_gym.fastsim.traits import TRAITS_OF
@@ -36,11 +37,13 @@ Knowledge = Literal["all", "observed"]
 # What a driver wants who is held up, as a share of the limit: drivers that highway-env makes at
 # random want 0.7 to 0.8 of it (Vehicle.create_random).
 WISH = 0.75
-NOMINAL = {
-    trait: getattr(IDMVehicle, attribute)
+_ATTRIBUTES = {
+    trait: attribute
     for trait, attribute in TRAITS_OF[IDM].items()
     if attribute.isupper() and trait not in TRAITS_OF[CONTROLLED]
 }
+with original_behavior(IDMVehicle):
+    NOMINAL = {trait: getattr(IDMVehicle, name) for trait, name in _ATTRIBUTES.items()}
 """Traits of a driver of whom nothing is known, by the names of ``fastsim.records``."""
 
 
@@ -159,7 +162,7 @@ def idm_actions(
     """What IDM and MOBIL would do in the ego's place, as the nearest meta-action: [num_envs], or of
     ``indices``.
 
-    That driver is as highway-env's are by default, may change lanes at once, and wants the highest
+    That driver is as the scenario's are, may change lanes at once, and wants the highest
     target speed that the ego's meta-actions have. Nearest is the action that aims at the lane at
     which it aims, and after a policy step is nearest to its speed; of equally near ones IDLE.
     ValueError without meta-actions, or where the batch engine does not simulate this.
@@ -175,7 +178,7 @@ def idm_actions(
     theirs["kind"], theirs["changes_lanes"] = IDM, 1
     theirs["target_speed"] = copies.engine.env.unwrapped.action_type.target_speeds[-1]
     theirs["timer"] = IDMVehicle.LANE_CHANGE_DELAY
-    for name, value in NOMINAL.items():
+    for name, value in _nominal(envs).items():
         theirs[name] = value
     state.vehicles[places] = theirs
     copies.advance(np.tile(tried, len(chosen)))
@@ -186,6 +189,14 @@ def idm_actions(
     elsewhere = lanes[:, :-1] != lanes[:, -1:]
     nearness[elsewhere & ~elsewhere.all(axis=1, keepdims=True)] = -np.inf
     return best(nearness, numbers)
+
+
+def _nominal(envs: SetVectorEnv) -> dict[str, float]:
+    """NOMINAL, with what the scenario makes of all its drivers, as intersections do."""
+    template = envs.engine.template
+    drivers = template[template["kind"] == IDM]
+    here = [trait for trait, name in _ATTRIBUTES.items() if name in PARAMETERS and len(drivers)]
+    return NOMINAL | {trait: drivers[trait][0] for trait in here}
 
 
 def _copies(envs: SetVectorEnv, indices: Any) -> SetVectorEnv:
@@ -204,18 +215,18 @@ def guess(
     There are ``futures`` copies of each of ``indices``, one beside the other.
 
     Seen are the road, and position, heading, speed, size and lane of everyone within the perception
-    distance; the others are not there. Drivers are IDM and MOBIL's as they are by default, are on
+    distance; the others are not there. Drivers are IDM and MOBIL's as the scenario has them, are on
     their way to no other lane yet, and want to go as fast as they do, or if they are held up as
     fast as drivers mostly want. Where they turn off, when they next think of changing lanes, and
     who comes next is drawn at random, for each copy anew.
     """
     copies = envs.fork(np.repeat(indices, futures).tolist())
-    state, network = copies.engine.state, copies.engine.network
+    state, network, nominal = copies.engine.state, copies.engine.network, _nominal(envs)
     for e, head in enumerate(state.heads):
         entropy = [seed, e % futures, int(head["seed"]) + 1, int(head["elapsed"])]
         generator = np.random.default_rng(entropy)
         _leave_out(state, e, envs.set_spec.perception_distance)
-        _guess_drivers(state, e, network, generator)
+        _guess_drivers(state, e, network, nominal, generator)
         state.generators[e, ROAD] = row(generator)
     return copies
 
@@ -232,7 +243,9 @@ def _leave_out(state: State, e: int, distance: float) -> None:
     state.counts[e, [VEHICLES, ITEMS, EGO]] = seen.sum(), len(kept), seen[:ego].sum()
 
 
-def _guess_drivers(state: State, e: int, network: Any, generator: np.random.Generator) -> None:
+def _guess_drivers(
+    state: State, e: int, network: Any, nominal: dict[str, float], generator: np.random.Generator
+) -> None:
     """What those who are left in environment ``e`` want, and how they drive."""
     count, _, _, ego = state.counts[e]
     vehicles, lanes = state.vehicles[e], network.records
@@ -243,7 +256,7 @@ def _guess_drivers(state: State, e: int, network: Any, generator: np.random.Gene
     own = lanes[theirs["lane"]]
     wished = np.where(own["limited"], WISH * own["speed_limit"], 0.0)
     theirs["target_speed"] = np.maximum(theirs["speed"], wished)
-    for name, value in NOMINAL.items():
+    for name, value in nominal.items():
         theirs[name] = value
     theirs["timer"] = generator.uniform(0.0, IDMVehicle.LANE_CHANGE_DELAY, len(theirs))
     theirs["yielding"] = theirs["yield_timer"] = 0

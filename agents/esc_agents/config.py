@@ -154,6 +154,9 @@ class PPOConfig(AlgorithmConfig):
     """linear: the coefficient falls to 0 at the last step."""
     vf_coef: NonNegativeFloat = 0.5
     max_grad_norm: PositiveFloat = 0.5
+    value_warmup: NonNegativeInt = 0
+    """Training steps in which the value network alone learns, at the beginning of a run with
+    `start_from`: before it can judge, its errors would spoil what the policy knows."""
     ortho_init: bool = True
     """SB3's orthogonal initialisation, of the encoder too; false: PyTorch's own."""
     net_arch: tuple[PositiveInt, ...] = (64, 64)

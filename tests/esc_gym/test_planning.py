@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from esc_gym.planning import LookAhead, guess, meta_actions, rollouts
+from esc_gym.fastsim.kernel import VEHICLES
+from esc_gym.fastsim.records import IDM
+from esc_gym.planning import LookAhead, best, guess, idm_actions, meta_actions, rollouts
 from tests.esc_gym.vector.stock import batch, stock
 
 IDS = ["esc_gym/highway-fast-v0", "esc_gym/merge-v0", "esc_gym/intersection-v0"]
@@ -190,3 +192,65 @@ def test_what_cannot_be_planned_is_refused():
     slow.reset(seed=0)
     with pytest.raises(ValueError, match="which does not simulate this: accelerate=False"):
         LookAhead().values(slow)
+
+
+def by_a_driver_of_highway_env(env):
+    """(lane aimed at, speed) after a step with highway-env's driver in the ego's place, and after
+    each meta-action."""
+
+    def after(copy, action):
+        copy.step(action)
+        vehicle = copy.unwrapped.vehicle
+        return vehicle.target_lane_index, vehicle.speed
+
+    with_driver = deepcopy(env)
+    base = with_driver.unwrapped
+    ego, vehicles = base.vehicle, base.road.vehicles
+    driver = IDMVehicle(
+        base.road, ego.position, ego.heading, ego.speed, ego.target_lane_index,
+        float(ego.target_speeds[-1]), ego.route, timer=IDMVehicle.LANE_CHANGE_DELAY,
+    )  # fmt: skip
+    driver.speed_index = 0  # which rewards read of an ego
+    driver.target_speeds = ego.target_speeds
+    vehicles[vehicles.index(ego)] = base.vehicle = base.action_type.controlled_vehicle = driver
+    idle = base.action_type.actions_indexes["IDLE"]
+    return after(with_driver, idle), [
+        after(deepcopy(env), action) for action in range(env.action_space.n)
+    ]
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_what_idm_and_mobil_would_do(env_id):
+    """Nearest to highway-env's own driver: first in the lane, then in speed."""
+    found = set()
+    for steps in (1, 3, 5):
+        envs, others = driven(env_id, 6, steps)
+        chosen = idm_actions(envs)
+        np.testing.assert_array_equal(idm_actions(envs, [4, 0]), chosen[[4, 0]])
+        for e, other in enumerate(others):
+            (lane, speed), outcomes = by_a_driver_of_highway_env(other)
+            there = [i for i, (aim, _) in enumerate(outcomes) if aim == lane]
+            off = {i: abs(outcomes[i][1] - speed) for i in there or range(len(outcomes))}
+            assert off[chosen[e]] == pytest.approx(min(off.values()), abs=1e-9)
+            found.add(int(chosen[e]))
+    assert len(found) > 1
+
+
+def test_idm_among_ties_keeps_on():
+    envs, _ = driven("esc_gym/intersection-v0", 1, 1)
+    numbers = meta_actions(envs)
+    assert best(np.zeros((2, len(numbers))), numbers).tolist() == [numbers["IDLE"]] * 2
+
+
+@pytest.mark.parametrize(
+    ("env_id", "expected"),
+    [("esc_gym/intersection-v0", (7, 6, -3)), ("esc_gym/highway-fast-v0", (10, 3, -5))],
+)
+def test_guessed_drivers_are_those_of_the_scenario(env_id, expected):
+    """As in the source of IntersectionEnv, which changes the class for the whole process."""
+    envs, _ = driven(env_id, 1)
+    state = guess(envs, [0], 1, 0).engine.state
+    drivers = state.vehicles[0, : state.counts[0, VEHICLES]]
+    drivers = drivers[drivers["kind"] == IDM]
+    names = ["distance_wanted", "comfort_max", "comfort_min"]
+    assert {tuple(map(float, row)) for row in drivers[names]} == {expected}

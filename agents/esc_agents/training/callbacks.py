@@ -90,6 +90,23 @@ class EntropySchedule(BaseCallback):
         return True
 
 
+class ValueWarmup(BaseCallback):
+    """In PPO's first ``value_warmup`` steps the value network alone learns."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        super().__init__()
+        self.steps = config.ppo.value_warmup
+
+    def _on_rollout_start(self) -> None:
+        policy: Any = self.model.policy
+        policy.requires_grad_(self.num_timesteps >= self.steps)
+        for learner in (policy.value_net, policy.mlp_extractor.value_net):
+            learner.requires_grad_(True)
+
+    def _on_step(self) -> bool:
+        return True
+
+
 class FixedSeedEvaluation(BaseCallback):
     """Every ``every`` steps: the same episodes, appended to evaluations.npz; the best model.
 

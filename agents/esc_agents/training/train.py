@@ -37,6 +37,7 @@ from esc_agents.training.callbacks import (
     MetricsWriter,
     StopOnSignal,
     Stopped,
+    ValueWarmup,
 )
 from esc_agents.training.models import ALGORITHMS, describe, new_model
 from esc_agents.training.results import finish, results, rule_summary
@@ -211,6 +212,8 @@ class Training:
         saved.callbacks = callbacks = [faults, DrivingLog(), evaluation, saved]
         if config.algo == "ppo" and config.ppo.ent_coef_schedule == "linear":
             callbacks.append(EntropySchedule(config))
+        if config.algo == "ppo" and config.ppo.value_warmup:
+            callbacks.append(ValueWarmup(config))
         if config.hyperparameters.use_sde:
             callbacks.append(LastingNoise(config))
         if found:
