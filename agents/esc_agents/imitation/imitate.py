@@ -10,12 +10,16 @@ was killed is done anew, and ends as it would have.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import VecEnv
 
 from esc_agents import files
 from esc_agents.config import TrainConfig, dump, load
@@ -23,7 +27,7 @@ from esc_agents.driving.baselines import action_names
 from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import wrapper_json
-from esc_agents.driving.episodes import model_policy
+from esc_agents.driving.episodes import Summary, model_policy, seeds
 from esc_agents.driving.policies import load_policy, save_policy
 from esc_agents.driving.vectorised import closing, vectorise
 from esc_agents.errors import UserError, say
@@ -33,17 +37,26 @@ from esc_agents.imitation.labels import Drive, Labels
 from esc_agents.imitation.learning import fit, measure
 from esc_agents.imitation.settings import ImitateConfig
 from esc_agents.training import run_directory
-from esc_agents.training.callbacks import StopOnSignal
+from esc_agents.training.callbacks import (
+    FixedSeedEvaluation,
+    MetricsWriter,
+    StopOnSignal,
+    Stopped,
+)
 from esc_agents.training.models import describe, new_model
 from esc_agents.training.results import finish, results, rule_summary
 from esc_agents.training.run_directory import IMITATE
 
 
-def imitate(config: ImitateConfig, resume: Path | None = None, trust: bool = False) -> bool:
+def imitate(
+    config: ImitateConfig, resume: Path | None = None, trust: bool = False,
+    told: Callable[[int], object] = lambda labels: None,
+) -> bool:  # fmt: skip
     """Learn as ``config`` says; prints the results. False where a signal ended it early.
 
     resume: an existing run directory, which goes on after its last whole round. trust: also load
-    what others wrote and can run their code.
+    what others wrote and can run their code. told: called after each round, with how many labels
+    there are.
     """
     run = config.train_config()
     directory = resume or run.run_dir or run_directory.default_run_dir(run, "imitation")
@@ -55,6 +68,8 @@ def imitate(config: ImitateConfig, resume: Path | None = None, trust: bool = Fal
     expert, given = _labellers(config, run, probe, trust)
     with ExitStack() as stack:
         envs: Any = stack.enter_context(closing(BatchVecEnv(run, run.n_envs, evaluation=True)))
+        count = min(run.n_envs, run.evaluation.episodes)
+        judges = stack.enter_context(closing(vectorise(run, count, evaluation=True)))
         model: Any = new_model(run, envs)
         if resume is None:
             texts = {IMITATE: dump(config)}
@@ -65,16 +80,21 @@ def imitate(config: ImitateConfig, resume: Path | None = None, trust: bool = Fal
         stop = stack.enter_context(StopOnSignal())
         say(describe(run, model, probe))
         say(f"{config.dagger_rounds + 1} rounds of {config.labels:,} labels into {directory}")
-        Imitation(config, directory, model, wrapper_json(probe)).learn(envs, expert, given, stop)
-        rule = None if stop() else rule_summary(run, stop)
-        count = min(run.n_envs, run.evaluation.episodes)
-        judges = stack.enter_context(closing(vectorise(run, count, evaluation=True)))
-        found = results(run, model_policy(model), judges, action_names(probe), rule, stop)
-        if stop():
-            say(f"Stopped; continue with: esc-imitate --resume {directory}")
-            return False
-        finish(run, directory, found, f"imitation, {model.num_timesteps:,} labels")
-        return True
+        learning = Imitation(config, run, directory, model, wrapper_json(probe), judges, stop)
+        learning.rule = rule_summary(run, stop)
+        learning.told = told
+        try:
+            learning.learn(envs, expert, given)
+        except Stopped:
+            pass
+        else:
+            policy, names = model_policy(model), action_names(probe)
+            found = results(run, policy, judges, names, learning.rule, stop)
+            if not stop():
+                finish(run, directory, found, f"imitation, {model.num_timesteps:,} labels")
+                return True
+        say(f"Stopped; continue with: esc-imitate --resume {directory}")
+        return False
 
 
 def open_imitation(directory: Path, trust: bool = False) -> ImitateConfig:
@@ -105,30 +125,36 @@ class Imitation:
     """The rounds of a run; those that an earlier session has finished are taken from the disk."""
 
     def __init__(
-        self, config: ImitateConfig, directory: Path, model: Any, observation: dict[str, Any]
-    ) -> None:
-        self.config, self.directory, self.model = config, directory, model
-        self.observation = observation
-        self.drives: list[Drive] = []
-
-    def learn(
-        self, envs: BatchVecEnv, expert: Expert | None, given: list[Drive] | None,
-        stop: StopOnSignal,
+        self, config: ImitateConfig, run: TrainConfig, directory: Path, model: Any,
+        observation: dict[str, Any], judges: VecEnv, stop: StopOnSignal,
     ) -> None:  # fmt: skip
-        """Do all rounds, and write the policy. given: the labels of the first round."""
-        for number in range(self.config.dagger_rounds + 1):
-            drives = given if given and number == 0 else self._labelled(number, envs, expert, stop)
-            if not stop():
-                self.drives += drives
-                self.model.num_timesteps = sum(len(drive.actions) for drive in self.drives)
-                self._learned(number, stop)
-        if not stop():
-            files.write_atomically(self.directory / "model.zip", self.model.save)
-            self._save(self.directory, "policy")
+        self.config, self.run, self.directory, self.model = config, run, directory, model
+        self.observation, self.judges, self.stop = observation, judges, stop
+        self.rule: Summary | None = None
+        self.told: Callable[[int], object] = lambda labels: None
+        self.drives: list[Drive] = []
+        self._evaluation: FixedSeedEvaluation | None = None
 
-    def _labelled(
-        self, number: int, envs: BatchVecEnv, expert: Any, stop: StopOnSignal
-    ) -> list[Drive]:
+    def learn(self, envs: BatchVecEnv, expert: Expert | None, given: list[Drive] | None) -> None:
+        """Do all rounds, and write the policy; raises Stopped where a signal ends it early.
+
+        given: the labels of the first round.
+        """
+        for number in range(self.config.dagger_rounds + 1):
+            drives = given if given and number == 0 else self._labelled(number, envs, expert)
+            self.drives += drives
+            if not self._done(number):
+                self._learned(number)
+            self.told(self.model.num_timesteps)
+        self._check()
+        files.write_atomically(self.directory / "model.zip", self.model.save)
+        self._save(self.directory, "policy")
+
+    def _check(self) -> None:
+        if self.stop():
+            raise Stopped
+
+    def _labelled(self, number: int, envs: BatchVecEnv, expert: Any) -> list[Drive]:
         """Episodes of a round, to the end of the one with the last label."""
         config, path = self.config, self.directory / "labels" / f"{number:03d}.npz"
         if path.exists():
@@ -138,41 +164,56 @@ class Imitation:
         generator = np.random.default_rng([config.seed, number])
         first = int(generator.integers(10**7, 2**31))  # no evaluation has such seeds
         drives: list[Drive] = []
-        while not stop() and sum(len(drive.actions) for drive in drives) < config.labels:
-            seeds = range(first + len(drives), first + len(drives) + envs.num_envs)
-            drives += labels.collect(envs, seeds, expert, driver, noise, generator, stop)
-        if not stop():
-            path.parent.mkdir(exist_ok=True)
-            labels.save(path, drives)
-            mean = np.mean([drive.rewards.sum() for drive in drives])
-            who = "the learner drove" if number else f"{config.expert} drove, noise {noise:g}"
-            say(f"round {number}: {who}: {len(drives):,} episodes, mean return {mean:.2f}")
+        while sum(len(drive.actions) for drive in drives) < config.labels:
+            chosen = range(first + len(drives), first + len(drives) + envs.num_envs)
+            drives += labels.collect(envs, chosen, expert, driver, noise, generator, self.stop)
+            self._check()
+        path.parent.mkdir(exist_ok=True)
+        labels.save(path, drives)
+        mean = np.mean([drive.rewards.sum() for drive in drives])
+        who = "the learner drove" if number else f"{config.expert} drove, noise {noise:g}"
+        say(f"round {number}: {who}: {len(drives):,} episodes, mean return {mean:.2f}")
         return drives
 
-    def _learned(self, number: int, stop: StopOnSignal) -> None:
-        """Train the policy on all labels so far, or load it."""
-        folder, name = self.directory / "rounds", f"{number:03d}"
-        if (folder / f"{name}.json").exists():
-            policy, _ = load_policy(folder, "cpu", name, trust=True)
-            self.model.policy.load_state_dict(policy.state_dict())
-            return
+    def _done(self, number: int) -> bool:
+        """Whether an earlier session has finished a round; its policy is taken."""
+        if not (self.directory / "rounds" / f"{number:03d}.json").exists():
+            return False
+        policy, steps = load_policy(self.directory / "rounds", "cpu", f"{number:03d}", trust=True)
+        self.model.policy.load_state_dict(policy.state_dict())
+        self.model.num_timesteps = steps
+        return True
+
+    def _learned(self, number: int) -> None:
+        """Train the policy on all labels so far, and see how it drives."""
+        evaluation = self._evaluation = self._evaluation or self._begun()
+        model = self.model
+        model.num_timesteps = sum(len(drive.actions) for drive in self.drives)
         learnt, held_out = (Labels.of(part) for part in labels.split(self.drives))
-        loss = fit(self.model.policy, learnt, self.config, number, stop)
-        if stop():
-            return
-        found = measure(self.model.policy, held_out)
-        metrics = run_directory.MetricsFile(
-            self.directory / "metrics.csv", self.model.num_timesteps - 1
-        )
-        row = {f"imitation/{key}": value for key, value in asdict(found).items()}
-        metrics.write({run_directory.STEP: self.model.num_timesteps, **row, "imitation/loss": loss})
-        folder.mkdir(exist_ok=True)
-        self._save(folder, name)
+        loss = fit(model.policy, learnt, self.config, number, self.stop)
+        self._check()
+        found = measure(model.policy, held_out)
         say(
             f"round {number}: {len(learnt):,} labels, regret {found.regret:.3f} on "
             f"{len(held_out):,} held out (always the same action: {found.blind_regret:.3f}), as "
             f"good as the expert's choice in {found.agreement:.0%}"
         )
+        for key, value in {**asdict(found), "loss": loss}.items():
+            model.logger.record(f"imitation/{key}", value)
+        evaluation.judge()
+        model.logger.dump(model.num_timesteps)
+        (self.directory / "rounds").mkdir(exist_ok=True)
+        self._save(self.directory / "rounds", f"{number:03d}")
+
+    def _begun(self) -> FixedSeedEvaluation:
+        """What notes how rounds end, after those that are done."""
+        metrics = MetricsWriter(self.directory / "metrics.csv", self.model.num_timesteps)
+        self.model.set_logger(Logger(str(self.directory), [metrics]))
+        evaluation = FixedSeedEvaluation(self.judges, seeds(self.run), 1, self.directory)
+        evaluation.stopped, evaluation.rule = self.stop, self.rule
+        evaluation.save_best = partial(self._save, self.directory, "best_policy")
+        evaluation.init_callback(self.model)
+        return evaluation
 
     def _save(self, folder: Path, name: str) -> None:
-        save_policy(folder, self.model, self.config.train_config(), self.observation, name)
+        save_policy(folder, self.model, self.run, self.observation, name)

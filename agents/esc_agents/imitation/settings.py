@@ -142,4 +142,5 @@ class ImitateConfig(Model):
                          "run_dir")
         }  # fmt: skip
         changes["env_config"] = merge(base.env_config, self.env_config)
-        return base.model_copy(update={**changes, "algo": "ppo"})
+        labels = (self.dagger_rounds + 1) * self.labels
+        return base.model_copy(update={**changes, "algo": "ppo", "steps": labels})

@@ -132,17 +132,21 @@ class FixedSeedEvaluation(BaseCallback):
     def _on_step(self) -> bool:
         if self.num_timesteps >= self._next:
             self._next = (self.num_timesteps // self.every + 1) * self.every
-            episodes = evaluate(self.envs, model_policy(self.model), self.seeds, self.stopped)
-            if len(episodes) < len(self.seeds):
-                raise Stopped  # at once: a checkpoint from here on would miss this evaluation
-            self._record(episodes)
+            self.judge()
         return True
+
+    def judge(self) -> None:
+        """Evaluate now; raises Stopped where somebody asks to stop meanwhile."""
+        episodes = evaluate(self.envs, model_policy(self.model), self.seeds, self.stopped)
+        if len(episodes) < len(self.seeds):
+            raise Stopped  # at once: a checkpoint from here on would miss this evaluation
+        self._record(episodes)
 
     def _record(self, episodes: list[Episode]) -> None:
         rewards = [episode.reward for episode in episodes]
         best = max((np.mean(r) for r in self.history.get("results", [])), default=-np.inf)
         row = {
-            "timesteps": self.num_timesteps,
+            "timesteps": self.model.num_timesteps,
             # "results" and "ep_lengths" are the names that SB3's own evaluations.npz has.
             "results": rewards,
             "ep_lengths": [episode.length for episode in episodes],
@@ -163,7 +167,7 @@ class FixedSeedEvaluation(BaseCallback):
         if self.rule and np.mean(rewards) > self.rule.reward:
             above = f"; above {RULE}'s {self.rule.reward:.2f}"
         print(
-            f"step {self.num_timesteps:,}: return {np.mean(rewards):.2f}, "
+            f"step {self.model.num_timesteps:,}: return {np.mean(rewards):.2f}, "
             f"{crashes} of {len(rewards)} evaluation episodes crashed{above}",
             flush=True,
         )
