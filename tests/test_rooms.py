@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 AGENTS = ROOT / "agents" / "esc_agents"
 FLOORS = (
     {"ground"}, {"reporting"}, {"driving"}, {"training"},
-    {"compare", "imitation", "paper", "proof"}, {"tuning", "zoo"}, {"cli"},
+    {"imitation"}, {"compare", "paper", "proof"}, {"tuning", "zoo"}, {"cli"},
 )  # fmt: skip
 LINES = 350
 

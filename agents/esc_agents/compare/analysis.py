@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from esc_agents.compare import store
-from esc_agents.compare.grid import Candidate
+from esc_agents.compare.grid import IMITATION, Candidate
 from esc_agents.compare.store import Baselines, Result, Tuned
 from esc_agents.driving.episodes import MEANS, Episode, Summary
 from esc_agents.driving.rule_driver import RULE
@@ -41,7 +41,8 @@ class Task:
 
     @property
     def name(self) -> str:
-        return f"{self.settings['env']}, {self.settings['algo'].upper()}"
+        way = self.settings["algo"]
+        return f"{self.settings['env']}, {way if way == IMITATION else way.upper()}"
 
     @cached_property
     def reprs(self) -> list[str]:

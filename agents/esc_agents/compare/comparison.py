@@ -18,6 +18,8 @@ from esc_agents.compare.grid import (
     CompareConfig,
     candidates,
     check_transfer,
+    imitate_config,
+    run_config,
     scenario,
     study_cells,
     train_config,
@@ -50,7 +52,7 @@ class Plan:
 
     def steps(self, cell: Cell) -> int:
         """Training steps of a run."""
-        return train_config(self.config, cell, self.slots[cell.env]).steps
+        return run_config(self.config, cell, self.slots[cell.env]).steps
 
     def jobs(self, cells: Sequence[Cell]) -> list[Job]:
         """What trains them."""
@@ -68,6 +70,8 @@ def plan(config: CompareConfig, trust: bool = False) -> Plan:
             probe = check(scenario(config, env).model_copy(update={"repr": repr}))
             space: Any = probe.observation_space
             vehicles[env] = space["vehicles"].shape[0]
+            if config.learn == "imitate":
+                imitate_config(config, Cell(env, config.way, repr, 0), vehicles[env])
     slots = {env: min(config.slots or n, n) for env, n in vehicles.items()}
     return Plan(config, vehicles, slots, tuning_cells(config), study_cells(config), trust)
 
@@ -138,6 +142,9 @@ def dry_run(config: CompareConfig, out: Path, workers: int, trust: bool = False)
         sizes = (planned.vehicles[env], slots, len(tuning), len(study), finished)
         rows.append([f"{env} {repr}", *map(str, sizes), f"{planned.steps(study[0]):,}"])
     show(terminal(rows, "Grid"))
+    if config.learn == "imitate":
+        say("Imitation: how long an expert takes is not estimated.")
+        return
     seconds, memory = 0.0, 0
     for env in config.env:
         cells = [cell for cell in [*planned.tuning, *planned.study] if cell.env == env]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from esc_agents.compare.analysis import OURS, Task, tuning_scores
-from esc_agents.compare.grid import TUNING_SEED, TuningConfig, candidates
+from esc_agents.compare.grid import IMITATION, TUNING_SEED, TuningConfig, candidates
 from esc_agents.reporting.documents import Block, Heading, Rows, Text
 
 
@@ -68,10 +68,12 @@ def differences(task: Task) -> Iterator[str]:
 
 
 def _comparable(config: dict[str, Any], algo: str) -> dict[str, Any]:
-    """A training configuration without what belongs to one run or was tuned."""
-    own = ("repr", "seed", "run_dir")
+    """A training configuration without what belongs to one run, was tuned, or is not used."""
+    unused = {"ppo": {"sac", "continuous"}, "sac": {"ppo"}, IMITATION: {"ppo", "sac", "continuous"}}
+    own = {"repr", "seed", "run_dir"} | unused[algo]
     kept = {key: value for key, value in config.items() if key not in own}
-    kept[algo] = {k: v for k, v in kept[algo].items() if k != "learning_rate"}
+    if algo in kept:
+        kept[algo] = {k: v for k, v in kept[algo].items() if k != "learning_rate"}
     kept["encoder"] = {k: v for k, v in kept["encoder"].items() if k != "arguments"}
     return kept
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 from pydantic import (
@@ -26,6 +26,7 @@ from esc_agents.config import (
     with_algorithm,
 )
 from esc_agents.errors import UserError
+from esc_agents.imitation.settings import ImitateConfig
 from esc_gym.encoders import APEncoder, representation
 from esc_gym.registration import merge
 
@@ -33,6 +34,9 @@ TUNING_SEED = 1000  # of the first tuning run: a study has fewer seeds
 TUNING_EPISODES = 3_000_000  # seed of the first episode on which tuning runs are judged
 EPISODES = 2_000_000  # seed of the first episode on which final policies are judged
 
+IMITATION = "imitation"
+LEARNED_FROM = ("observation", "encoder", "env_config")
+"""Fields of a training run that imitation has, too."""
 OWN = {"env", "repr", "algo", "steps", "seed", "run_dir"}
 """Fields of a training run that the comparison fills in."""
 
@@ -66,6 +70,10 @@ class CompareConfig(Model):
     """Representations: esc, fp, ap, mean, max, attention, or module:Class."""
     algo: Algorithm = "ppo"
     """sac drives with throttle and steering; ppo as the scenario says."""
+    learn: Literal["rl", "imitate"] = "rl"
+    """imitate: from the labels of an expert, as esc-imitate does, and not by `algo`."""
+    imitate: Mapping = Field(default_factory=dict)
+    """Of --learn imitate: fields of every run, as flags of esc-imitate; the expert is planner."""
     seeds: Annotated[int, Field(ge=1, lt=TUNING_SEED)] = 5
     """Runs of each representation in each scenario, with seeds 0, 1, 2, ..."""
     steps: PositiveInt | None = 200_000
@@ -88,10 +96,17 @@ class CompareConfig(Model):
     def _once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         return tuple(dict.fromkeys(names))
 
+    @property
+    def way(self) -> str:
+        """How is learned: the algorithm, or imitation."""
+        return IMITATION if self.learn == "imitate" else self.algo
+
     def fixed(self) -> dict[str, Any]:
-        """What all runs in one output directory share for one scenario and algorithm."""
-        grid = {"env", "repr", "algo", "seeds", "transfer", "transfer_seeds"}
-        return self.model_dump(mode="json", exclude=grid)
+        """What all runs in one output directory share for one scenario and way of learning."""
+        grid = {"env", "repr", "algo", "seeds", "transfer", "transfer_seeds", "learn"}
+        if self.learn == "rl":
+            return self.model_dump(mode="json", exclude=grid | {"imitate"})
+        return self.model_dump(mode="json", exclude=grid) | {"steps": None}
 
 
 @dataclass(frozen=True, order=True)
@@ -109,7 +124,7 @@ class Candidate:
 class Cell:
     """One training run. traffic: a name in ``transfer``, "" for the scenario as it is.
 
-    tuning: whether it tries a candidate, which its name then holds.
+    algo: of ``CompareConfig.way``. tuning: whether it tries a candidate, which its name then holds.
     """
 
     env: str
@@ -134,7 +149,7 @@ class Cell:
 
 
 def task_name(env: str, algo: str) -> str:
-    """The folder of all runs in a scenario with an algorithm."""
+    """The folder of all runs in a scenario with an algorithm, or by imitation."""
     return f"{env}-{algo}"
 
 
@@ -152,7 +167,7 @@ def tuning_cells(config: CompareConfig) -> list[Cell]:
         return []
     seeds = range(TUNING_SEED, TUNING_SEED + config.tuning.seeds)
     return [
-        Cell(env, config.algo, repr, seed, candidate=candidate, tuning=True)
+        Cell(env, config.way, repr, seed, candidate=candidate, tuning=True)
         for env, candidate, seed, repr in product(config.env, tried, seeds, config.repr)
     ]
 
@@ -160,11 +175,11 @@ def tuning_cells(config: CompareConfig) -> list[Cell]:
 def study_cells(config: CompareConfig) -> list[Cell]:
     """The runs that are compared, one seed of everything after the other; then other traffic."""
     cells = [
-        Cell(env, config.algo, repr, seed)
+        Cell(env, config.way, repr, seed)
         for seed, env, repr in product(range(config.seeds), config.env, config.repr)
     ]
     return cells + [
-        Cell(env, config.algo, repr, seed, traffic)
+        Cell(env, config.way, repr, seed, traffic)
         for seed, env in product(range(config.transfer_seeds), config.env)
         for traffic, repr in product(config.transfer.get(env, {}), config.repr)
     ]
@@ -185,15 +200,42 @@ def train_config(config: CompareConfig, cell: Cell, slots: int) -> TrainConfig:
     rate = base.hyperparameters.learning_rate * cell.candidate.learning_rate
     changes = {
         "repr": cell.repr,
-        "algo": cell.algo,
+        "algo": config.algo,
         "seed": cell.seed,
         "steps": steps,
         "checkpoint_every": base.checkpoint_every,
         "encoder": {"arguments": arguments},
-        cell.algo: {"learning_rate": rate},
+        config.algo: {"learning_rate": rate},
         "evaluation": {"seed": seed, "every": max(1, steps // 10)},
     }
     return changed(base, changes)
+
+
+def imitate_config(config: CompareConfig, cell: Cell, slots: int) -> ImitateConfig:
+    """A run of --learn imitate. slots: as above. Raises UserError for fields that it has not."""
+    if unknown := sorted(config.train.keys() - LEARNED_FROM):
+        raise UserError(
+            f"train: with --learn imitate expected nothing but {', '.join(LEARNED_FROM)}, got "
+            f"{', '.join(unknown)}; all else stands in --imitate"
+        )
+    run = train_config(config, cell, slots)
+    own = {name: getattr(run, name).model_dump() for name in ("observation", "encoder")}
+    own |= {"env": cell.env, "repr": cell.repr, "seed": cell.seed, "device": run.device}
+    try:
+        given = ImitateConfig.model_validate(
+            {"expert": "planner", **config.imitate, **own, "env_config": run.env_config}
+        )
+    except ValidationError as error:
+        raise UserError(f"imitate: {explain(error, ImitateConfig)}") from error
+    rate = given.learning_rate * cell.candidate.learning_rate
+    return given.model_copy(update={"learning_rate": rate})
+
+
+def run_config(config: CompareConfig, cell: Cell, slots: int) -> TrainConfig:
+    """What a run's config.yaml says. slots: as above."""
+    if config.learn == "imitate":
+        return imitate_config(config, cell, slots).train_config()
+    return train_config(config, cell, slots)
 
 
 def scenario(config: CompareConfig, env: str, traffic: str = "") -> TrainConfig:

@@ -7,9 +7,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from shutil import rmtree
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -17,18 +18,29 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from esc_agents import files
 from esc_agents.compare import store
-from esc_agents.compare.grid import EPISODES, Cell, CompareConfig, scenario, task_name, train_config
+from esc_agents.compare.grid import (
+    EPISODES,
+    Cell,
+    CompareConfig,
+    imitate_config,
+    run_config,
+    scenario,
+    task_name,
+)
 from esc_agents.compare.measure import baselines, drive, encoder_of, examine
 from esc_agents.compare.store import Result, Tuned
 from esc_agents.config import TrainConfig
 from esc_agents.driving.policies import load_policy
 from esc_agents.errors import UserError
+from esc_agents.imitation.imitate import imitate, open_imitation
+from esc_agents.imitation.settings import ImitateConfig
 from esc_agents.training import run_directory
 from esc_agents.training.run_directory import read_evaluations
 from esc_agents.training.train import train
 from esc_gym.encoders import APEncoder
 from esc_gym.matching import parameter_count
 
+C = TypeVar("C", TrainConfig, ImitateConfig)
 JUDGED = 3  # evaluations at the end of a tuning run, whose returns count
 PATIENCE = 60.0  # s to wait for a process that was killed and has not yet let go of its run
 
@@ -84,9 +96,14 @@ class TrainJob:
 
     def do(self, out: Path, post: Post) -> None:
         start = time.perf_counter()
-        config, folder = train_config(self.config, self.cell, self.slots), self.files(out)[0]
+        config, folder = run_config(self.config, self.cell, self.slots), self.files(out)[0]
         with into_log(folder):
-            train_into(config, folder, post, self.name, self.trust)
+            if self.config.learn == "imitate":
+                labelled = imitate_config(self.config, self.cell, self.slots)
+                imitate_into(labelled, folder, post, self.name, self.trust)
+                rmtree(folder / "labels", ignore_errors=True)  # some 100 MB
+            else:
+                train_into(config, folder, post, self.name, self.trust)
             # Of no use any more, and with SAC's replay buffer hundreds of MB for each run. Before
             # the result, since who has that is not asked again.
             rmtree(folder / "checkpoints", ignore_errors=True)
@@ -132,10 +149,10 @@ class BaselineJob:
 
     @property
     def name(self) -> str:
-        return f"{task_name(self.env, self.config.algo)}/baselines"
+        return f"{task_name(self.env, self.config.way)}/baselines"
 
     def files(self, out: Path) -> list[Path]:
-        return [out / task_name(self.env, self.config.algo) / "baselines.json"]
+        return [out / task_name(self.env, self.config.way) / "baselines.json"]
 
     def do(self, out: Path, post: Post) -> None:
         found = baselines(scenario(self.config, self.env), EPISODES, self.config.episodes)
@@ -159,6 +176,25 @@ def train_into(
 ) -> None:  # fmt: skip
     """Train into ``folder``, or go on there; nothing where it is done. Raises Interrupted."""
     listeners = [_Listener(name, post), *listeners]
+
+    def learn(config: TrainConfig, resume: Path | None) -> bool:
+        return train(config, resume=resume, trust=trust, listeners=listeners)
+
+    _learn_into(folder, config, learn, partial(run_directory.open_run, trust=trust))
+
+
+def imitate_into(config: ImitateConfig, folder: Path, post: Post, name: str, trust: bool) -> None:
+    """The same, from labels."""
+
+    def learn(config: ImitateConfig, resume: Path | None) -> bool:
+        return imitate(config, resume, trust, lambda labels: post(Progress(name, labels)))
+
+    _learn_into(folder, config, learn, partial(open_imitation, trust=trust))
+
+
+def _learn_into(
+    folder: Path, config: C, learn: Callable[[C, Path | None], bool], open_run: Callable[[Path], C]
+) -> None:
     if folder.exists():
         if not (folder / "config.yaml").exists():
             raise UserError(
@@ -169,14 +205,14 @@ def train_into(
         if run_directory.finished(folder):
             run_directory.verify(folder, "policy.json", "policy.safetensors", "evaluations.npz")
             return
-        begun = run_directory.open_run(folder, trust)
+        begun = open_run(folder)
         if begun.model_copy(update={"run_dir": None}) != config:
             raise UserError(
                 f"{folder} was trained with other settings; remove it, and its run is done anew"
             )
-        finished = train(begun, resume=folder, trust=trust, listeners=listeners)
+        finished = learn(begun, folder)
     else:
-        finished = train(config.model_copy(update={"run_dir": folder}), listeners=listeners)
+        finished = learn(config.model_copy(update={"run_dir": folder}), None)
     if not finished:
         raise Interrupted
 

@@ -171,9 +171,9 @@ def check_folder(out: Path) -> None:
 
 def begin_task(out: Path, config: CompareConfig, env: str, trust: bool = False) -> None:
     """Note what all runs of a scenario share. Raises UserError where it is not what it was."""
-    folder = out / task_name(env, config.algo)
+    folder = out / task_name(env, config.way)
     path = folder / "task.yaml"
-    asked = {"env": env, "algo": config.algo, **config.fixed()}
+    asked = {"env": env, "algo": config.way, **config.fixed()}
     asked["transfer"] = config.transfer.get(env, {})
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)

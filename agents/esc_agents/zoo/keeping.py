@@ -58,8 +58,9 @@ def keep(run: Path, name: str) -> Path:
     folder = pretrained.folder() / name
     rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    for file in KEPT:
-        copyfile(run / file, folder / file)
+    for file in (*KEPT, run_directory.IMITATE):
+        if file in KEPT or (run / file).exists():
+            copyfile(run / file, folder / file)
     run_directory.note_config(folder, config, Path("zoo") / name)
     run_directory.write_checksums(folder)
     return folder

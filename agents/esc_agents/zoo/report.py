@@ -15,7 +15,7 @@ from typing import Any
 from esc_agents import files, pretrained
 from esc_agents.compare import store
 from esc_agents.compare.films import shown, together
-from esc_agents.compare.grid import EPISODES
+from esc_agents.compare.grid import EPISODES, IMITATION
 from esc_agents.config import TrainConfig, flow
 from esc_agents.driving.baselines import best_blind, is_above
 from esc_agents.driving.episodes import Summary, model_policy, return_of
@@ -31,10 +31,11 @@ ROW = "row.json"  # an agent's line of the page, and what made it
 TEXT = """# The zoo
 
 Agents that come with the package. Each row: the final policies of so many runs of the scenario's
-recipe, with as many episodes each from seed {first:,} on, which no training saw; brackets hold 95 %
-intervals over all of these episodes. The agent that is kept is the run which was best at its own
-evaluations in training. "Above both": the interval of the return lies above those of every policy
-that never looks, and of IDM/MOBIL, on the same episodes. Minutes: of one run, measured.
+recipe, or of imitation of a planner, with as many episodes each from seed {first:,} on, which no
+training saw; brackets hold 95 % intervals over all of these episodes. The agent that is kept is the
+run which was best at its own evaluations in training. "Above both": the interval of the return lies
+above those of every policy that never looks, and of IDM/MOBIL, on the same episodes. Steps: of
+training, or labels "by imitation". Minutes: of one run, measured.
 
     esc-eval --pretrained NAME
     esc-train --env SCENARIO --start-from zoo:NAME
@@ -42,7 +43,7 @@ that never looks, and of IDM/MOBIL, on the same episodes. Minutes: of one run, m
 CARD = """# {name}
 
 Drives `{env}` ({id}), seeing the vehicles within {reach:g} m as a set; representation `{repr}`,
-trained with {algo} for {steps:,} steps.
+{learned}.
 
 {table}
 
@@ -119,7 +120,7 @@ def row(agent: Kept) -> dict[str, Any]:
         RULE: said(rule) if rule else "cannot drive",
         "above both": "yes" if above(agent) else "no",
         "runs x episodes": f"{len(agent.runs)} x {len(agent.chosen.drives[''])}",
-        "steps": f"{steps(agent):,}",
+        "steps": f"{steps(agent):,}{' by imitation' * (agent.chosen.cell.algo == IMITATION)}",
         "minutes": f"{minutes:.0f}",
     }
 
@@ -169,13 +170,28 @@ def card(agent: Kept, made_by: Sequence[str]) -> str:
     seen = config.observation
     return CARD.format(
         name=agent.name, env=run.cell.env, id=config.env, reach=seen.perception_distance,
-        repr=run.cell.repr, algo=run.cell.algo.upper(), steps=config.steps,
+        repr=run.cell.repr, learned=learned(agent),
         table=markdown(rows), commands=", ".join(f"`{line}`" for line in made_by),
         seed=run.cell.seed,
-        train=f"esc-train --env {run.cell.env} --repr {run.cell.repr} --seed {run.cell.seed}",
+        train=command(agent),
         versions=flow(run.made_with), features=", ".join(seen.features),
         ego_features=", ".join(seen.ego_features or ["what the scenario has"]),
     )  # fmt: skip
+
+
+def learned(agent: Kept) -> str:
+    """How an agent came to be, in words."""
+    config, way = TrainConfig.model_validate(agent.chosen.config), agent.chosen.cell.algo
+    if way == IMITATION:
+        return f"learned by imitation of a planner, from {config.steps:,} labels or more"
+    return f"trained with {way.upper()} for {config.steps:,} steps"
+
+
+def command(agent: Kept) -> str:
+    """What trains it again."""
+    cell = agent.chosen.cell
+    how = "esc-imitate --expert planner" if cell.algo == IMITATION else "esc-train"
+    return f"{how} --env {cell.env} --repr {cell.repr} --seed {cell.seed}"
 
 
 def _film(agent: Kept, folder: Path, path: Path) -> None:

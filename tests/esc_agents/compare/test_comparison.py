@@ -19,8 +19,10 @@ from esc_agents.driving.episodes import evaluate, model_policy
 from esc_agents.driving.policies import load_policy
 from esc_agents.driving.vectorised import vectorise
 from esc_agents.errors import UserError
+from esc_agents.imitation.imitate import open_imitation
 from esc_agents.training.train import train
 from tests.esc_agents.compare.small import ENV, HereEngine, measured, small
+from tests.esc_agents.tiny import ROAD
 
 TASK = f"{ENV}-ppo"
 
@@ -210,3 +212,34 @@ def test_a_killed_comparison_goes_on(compared, tmp_path):
     subprocess.run(command, cwd=tmp_path, env=environment, check=True, stdout=subprocess.DEVNULL)
     assert first.stat().st_mtime_ns == before
     assert measured(out) == measured(compared)
+
+
+def test_learning_from_labels(tmp_path):
+    """Runs of imitation, in a task of their own, beside those of the algorithm; begun again after
+    a run that was killed, nothing is done twice."""
+    train = {
+        "env_config": ROAD, "encoder": {"hidden": (8,), "code_dim": 200},
+        "observation": {"perception_distance": 200},
+    }  # fmt: skip
+    labelled = {"labels": 9, "rounds": 1, "epochs": 1, "planner": {"horizon": 2, "free": 1}}
+    config = small(
+        learn="imitate", imitate=labelled, train=train, seeds=1, transfer={}, tuning={"seeds": 0}
+    )
+    compare(config, tmp_path, engine := HereEngine())
+    task = f"{ENV}-imitation"
+    assert engine.names == [f"{task}/baselines", f"{task}/esc-s0", f"{task}/fp-s0"]
+    found = {run.cell.repr: run for run in store.results(tmp_path / task)}
+    assert [len(found[repr].curve["timesteps"]) for repr in ("esc", "fp")] == [2, 2]
+    assert found["esc"].config["steps"] == 18
+    folder = store.run_folder(tmp_path, found["esc"].cell)
+    assert open_imitation(folder).planner.horizon == 2
+    report = (tmp_path / "report.md").read_text()
+    assert f"{ENV}, imitation: ESC against fp" in report
+    store.path_of(tmp_path, found["esc"].cell).unlink()
+    compare(config, tmp_path, again := HereEngine())
+    assert again.names == [f"{task}/esc-s0"]
+    with pytest.raises(UserError, match="expected nothing but observation, encoder, env_config"):
+        compare(small(learn="imitate"), tmp_path / "other", HereEngine())
+    wrong = small(learn="imitate", imitate={"label": 3}, train=train)
+    with pytest.raises(UserError, match="imitate: unknown key 'label'; did you mean 'labels'"):
+        compare(wrong, tmp_path / "other", HereEngine())
