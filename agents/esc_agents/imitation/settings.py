@@ -101,7 +101,7 @@ class ImitateConfig(Model):
     noise: Probability = 0.2
     """Share of the steps in which a random action is taken while the expert drives."""
     rounds: NonNegativeInt | None = None
-    """Rounds in which the learner drives and the expert labels what it meets; default: 3, without
+    """Rounds in which the learner drives and the expert labels what it meets; default: 4, without
     an expert 0."""
     loss: Loss = "cross-entropy"
     """cross-entropy: beside softmax(values / temperature), so that ties share, and what is nearly
@@ -130,7 +130,7 @@ class ImitateConfig(Model):
     def dagger_rounds(self) -> int:
         """``rounds``, with its default."""
         if self.rounds is None:
-            return 3 if self.expert else 0
+            return 4 if self.expert else 0
         return self.rounds
 
     def train_config(self) -> TrainConfig:

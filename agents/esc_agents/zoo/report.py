@@ -189,9 +189,21 @@ def learned(agent: Kept) -> str:
 
 def command(agent: Kept) -> str:
     """What trains it again."""
-    cell = agent.chosen.cell
-    how = "esc-imitate --expert planner" if cell.algo == IMITATION else "esc-train"
-    return f"{how} --env {cell.env} --repr {cell.repr} --seed {cell.seed}"
+    cell, program, flags = agent.chosen.cell, "esc-train", ""
+    if cell.algo == IMITATION:
+        program = "esc-imitate"
+        flags = _flags({"expert": "planner", **agent.task.settings["imitate"]})
+    return f"{program} --env {cell.env} --repr {cell.repr} --seed {cell.seed}{flags}"
+
+
+def _flags(values: dict[str, Any], prefix: str = "") -> str:
+    """What stands on the command line for the fields of a configuration."""
+    found = ""
+    for name, value in values.items():
+        flag = f"{prefix}{name.replace('_', '-')}"
+        inside = isinstance(value, dict)
+        found += _flags(value, f"{flag}.") if inside else f" --{flag} {value}"
+    return found
 
 
 def _film(agent: Kept, folder: Path, path: Path) -> None:

@@ -14,7 +14,7 @@ from esc_agents.compare.analysis import load
 from esc_agents.compare.comparison import compare
 from esc_agents.driving.policies import load_policy
 from esc_agents.zoo.keeping import best_of
-from esc_agents.zoo.report import above
+from esc_agents.zoo.report import above, command, learned
 from tests.esc_agents.compare.small import ENV, HereEngine, small
 
 
@@ -125,3 +125,20 @@ def test_what_is_to_be_kept_has_to_be_there(call):
     code, _, err = call(keep_cli, "nowhere")
     assert (code, err.count("\n")) == (2, 1)
     assert "nowhere: expected a directory of esc-compare or esc-train" in err
+
+
+def test_how_an_agent_learned(compared):
+    agent = best_of(compared)[0]
+    seed = agent.chosen.cell.seed
+    assert learned(agent) == "trained with PPO for 32 steps"
+    assert command(agent) == f"esc-train --env {ENV} --repr esc --seed {seed}"
+    cell = replace(agent.chosen.cell, algo="imitation")
+    settings = {**agent.task.settings, "imitate": {"batch_size": 64, "planner": {"free": 2}}}
+    imitated = replace(
+        agent, chosen=replace(agent.chosen, cell=cell), task=replace(agent.task, settings=settings)
+    )
+    assert learned(imitated) == "learned by imitation of a planner, from 32 labels or more"
+    assert command(imitated) == (
+        f"esc-imitate --env {ENV} --repr esc --seed {seed} --expert planner --batch-size 64 "
+        "--planner.free 2"
+    )
