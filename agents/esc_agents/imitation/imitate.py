@@ -21,7 +21,7 @@ import numpy as np
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
-from esc_agents import files
+from esc_agents import files, strangers
 from esc_agents.config import TrainConfig, dump, load
 from esc_agents.driving.baselines import action_names
 from esc_agents.driving.batch import BatchVecEnv
@@ -66,23 +66,24 @@ def imitate(
         raise UserError(f"{resume} is finished: there is nothing to continue")
     probe: Any = check(run)
     expert, given = _labellers(config, run, probe, trust)
-    with ExitStack() as stack:
+    with run_directory.said(directory, "esc-imitate"), ExitStack() as stack:
         envs: Any = stack.enter_context(closing(BatchVecEnv(run, run.n_envs, evaluation=True)))
         count = min(run.n_envs, run.evaluation.episodes)
         judges = stack.enter_context(closing(vectorise(run, count, evaluation=True)))
         model: Any = new_model(run, envs)
         if resume is None:
-            texts = {IMITATE: dump(config)}
+            signed = strangers.signed(f"# mac: {strangers.BLANK}\n{dump(config)}")
+            texts = {IMITATE: signed}
             run_directory.create(directory, run, wrapper_json(probe), str(model.device), texts)
-        else:
-            run_directory.note_command(resume)
         stack.enter_context(run_directory.locked(directory))
+        if resume:
+            run_directory.note_command(resume)
         stop = stack.enter_context(StopOnSignal())
         say(describe(run, model, probe))
         say(f"{config.dagger_rounds + 1} rounds of {config.labels:,} labels into {directory}")
         learning = Imitation(config, run, directory, model, wrapper_json(probe), judges, stop)
-        learning.rule = rule_summary(run, stop)
-        learning.told = told
+        learning.rule, learning.told = rule_summary(run, stop), told
+        learning.trust = trust
         try:
             learning.learn(envs, expert, given)
         except Stopped:
@@ -132,6 +133,7 @@ class Imitation:
         self.observation, self.judges, self.stop = observation, judges, stop
         self.rule: Summary | None = None
         self.told: Callable[[int], object] = lambda labels: None
+        self.trust = False
         self.drives: list[Drive] = []
         self._evaluation: FixedSeedEvaluation | None = None
 
@@ -179,7 +181,8 @@ class Imitation:
         """Whether an earlier session has finished a round; its policy is taken."""
         if not (self.directory / "rounds" / f"{number:03d}.json").exists():
             return False
-        policy, steps = load_policy(self.directory / "rounds", "cpu", f"{number:03d}", trust=True)
+        folder = self.directory / "rounds"
+        policy, steps = load_policy(folder, "cpu", f"{number:03d}", self.trust)
         self.model.policy.load_state_dict(policy.state_dict())
         self.model.num_timesteps = steps
         return True

@@ -97,6 +97,23 @@ def locked(path: Path) -> Iterator[None]:
         lock.release()
 
 
+@contextmanager
+def said(path: Path, program: str) -> Iterator[None]:
+    """What disks and processes do to a run of ``program``, as UserErrors."""
+    again = f"continue with {program} --resume {path}"
+    try:
+        yield
+    except (EOFError, ConnectionError) as error:
+        raise UserError(
+            f"the process of an environment died: killed, or out of memory; {again}"
+        ) from error
+    except OSError as error:  # full, or not ours to write
+        raise UserError(
+            f"{error.filename or path}: {error.strerror}; what was written before is whole; once "
+            f"that is mended, {again}"
+        ) from error
+
+
 def note_session(path: Path, config: TrainConfig) -> None:
     """Keep what this session, which resumes a run, is to do, and add its command."""
     for name in (CHECKSUMS, RESULTS):  # of a session that has ended; now it is not finished

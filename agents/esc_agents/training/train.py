@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,7 @@ def train(
     listeners: further callbacks, which must not change the training.
     """
     directory = resume or config.run_dir or run_directory.default_run_dir(config)
-    with _said(directory), ExitStack() as stack:
+    with run_directory.said(directory, "esc-train"), ExitStack() as stack:
         if resume:
             _check_unfinished(config, resume)
             stack.enter_context(run_directory.locked(resume))
@@ -76,23 +76,6 @@ def train(
         say(describe(config, model, probe))
         say(f"{config.steps:,} steps into {directory}")
         return training.run(found)
-
-
-@contextmanager
-def _said(directory: Path) -> Iterator[None]:
-    """What disks and processes do to a run, as UserErrors."""
-    try:
-        yield
-    except (EOFError, ConnectionError) as error:
-        raise UserError(
-            "the process of an environment died: killed, or out of memory; continue with "
-            f"esc-train --resume {directory}"
-        ) from error
-    except OSError as error:  # full, or not ours to write
-        raise UserError(
-            f"{error.filename or directory}: {error.strerror}; what was written before is whole; "
-            f"once that is mended, continue with esc-train --resume {directory}"
-        ) from error
 
 
 def _vectorised(config: TrainConfig) -> Iterator[VecEnv]:

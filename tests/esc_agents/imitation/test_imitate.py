@@ -193,3 +193,28 @@ def test_resume_takes_no_other_values(whole, call, tmp_path):
     assert (code, err.count("\n")) == (2, 1)
     assert "expected only --trust beside it, got epochs" in err
     assert PLANNER["horizon"] == open_imitation(tmp_path / "run").planner.horizon
+
+
+def test_who_wrote_a_run(whole, tmp_path, monkeypatch):
+    """A representation of one's own needs no trust; in what others wrote it does."""
+    own = "tests.esc_agents.imitation.own:Own"
+    kill(monkeypatch, imitate, "save_policy", 3)
+    run = tmp_path / "run"
+    with pytest.raises(Killed):
+        imitate.imitate(small(run_dir=run, repr=own))
+    monkeypatch.undo()
+    text = (run / "imitate.yaml").read_text()
+    assert imitate.imitate(open_imitation(run), resume=run)
+    (run / "imitate.yaml").write_text(text.replace("epochs: 2", "epochs: 1"))
+    with pytest.raises(UserError, match=r"names 'tests\.esc_agents\.imitation\.own:Own'"):
+        open_imitation(run)
+    assert open_imitation(run, trust=True).repr == own
+
+
+def test_a_full_disk(tmp_path, monkeypatch):
+    def full(*args):
+        raise OSError(28, "No space left on device", "labels")
+
+    monkeypatch.setattr(labels, "save", full)
+    with pytest.raises(UserError, match=r"No space left .* continue with esc-imitate --resume"):
+        imitate.imitate(small(run_dir=tmp_path / "run"))
