@@ -96,7 +96,7 @@ class ImitateConfig(Model):
     """Directory that esc-collect wrote, to begin with."""
     planner: PlannerConfig = PlannerConfig(free=1)
     """Of the expert planner."""
-    labels: PositiveInt = 8000
+    labels: PositiveInt = 4000
     """Labels in each round, to the end of the last episode."""
     noise: Probability = 0.2
     """Share of the steps in which a random action is taken while the expert drives."""
