@@ -71,7 +71,8 @@ class CompareConfig(Model):
     algo: Algorithm = "ppo"
     """sac drives with throttle and steering; ppo as the scenario says."""
     learn: Literal["rl", "imitate"] = "rl"
-    """imitate: from the labels of an expert, as esc-imitate does, and not by `algo`."""
+    """imitate: from the labels of an expert, as esc-imitate does, and not by `algo`; without
+    `steps`."""
     imitate: Mapping = Field(default_factory=dict)
     """Of --learn imitate: fields of every run, as flags of esc-imitate; the expert is planner."""
     seeds: Annotated[int, Field(ge=1, lt=TUNING_SEED)] = 5
@@ -218,13 +219,18 @@ def imitate_config(config: CompareConfig, cell: Cell, slots: int) -> ImitateConf
             f"train: with --learn imitate expected nothing but {', '.join(LEARNED_FROM)}, got "
             f"{', '.join(unknown)}; all else stands in --imitate"
         )
+    if config.algo != "ppo":
+        raise UserError(
+            f"--learn imitate: expected --algo ppo, whose policy it is, got {config.algo}"
+        )
     run = train_config(config, cell, slots)
     own = {name: getattr(run, name).model_dump() for name in ("observation", "encoder")}
     own |= {"env": cell.env, "repr": cell.repr, "seed": cell.seed, "device": run.device}
+    own["env_config"] = run.env_config
+    if taken := sorted(own.keys() & config.imitate.keys()):
+        raise UserError(f"imitate: {', '.join(taken)}: set by the comparison itself; leave it out")
     try:
-        given = ImitateConfig.model_validate(
-            {"expert": "planner", **config.imitate, **own, "env_config": run.env_config}
-        )
+        given = ImitateConfig.model_validate({"expert": "planner", **config.imitate, **own})
     except ValidationError as error:
         raise UserError(f"imitate: {explain(error, ImitateConfig)}") from error
     rate = given.learning_rate * cell.candidate.learning_rate

@@ -240,6 +240,11 @@ def test_learning_from_labels(tmp_path):
     assert again.names == [f"{task}/esc-s0"]
     with pytest.raises(UserError, match="expected nothing but observation, encoder, env_config"):
         compare(small(learn="imitate"), tmp_path / "other", HereEngine())
-    wrong = small(learn="imitate", imitate={"label": 3}, train=train)
-    with pytest.raises(UserError, match="imitate: unknown key 'label'; did you mean 'labels'"):
-        compare(wrong, tmp_path / "other", HereEngine())
+    for wrong, message in [
+        ({"imitate": {"label": 3}}, "imitate: unknown key 'label'; did you mean 'labels'"),
+        ({"imitate": {"seed": 3}}, "imitate: seed: set by the comparison itself; leave it out"),
+        ({"algo": "sac"}, "--learn imitate: expected --algo ppo, whose"),
+    ]:
+        asked = small(**{"learn": "imitate", "train": train, "transfer": {}, **wrong})
+        with pytest.raises(UserError, match=message):
+            compare(asked, tmp_path / "other", HereEngine())
