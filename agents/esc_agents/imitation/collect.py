@@ -19,6 +19,7 @@ from esc_agents.imitation import datasets, labels
 from esc_agents.imitation.experts import Expert, expert_of
 from esc_agents.imitation.settings import CollectConfig
 from esc_agents.training.callbacks import StopOnSignal
+from esc_agents.training.run_directory import locked
 
 
 def collect(config: CollectConfig, out: Path, trust: bool = False) -> bool:
@@ -34,7 +35,7 @@ def collect(config: CollectConfig, out: Path, trust: bool = False) -> bool:
     expert = expert_of(config.expert, config.planner.make(), run, trust)
     parts = out.with_name(f".{out.name}.parts")
     _begin(parts, config)
-    with StopOnSignal() as stop:
+    with locked(parts), StopOnSignal() as stop:
         drives = _drive(config, run, expert, parts, stop)
     if stop.interrupted:
         say(f"Stopped after {len(drives):,} of {config.episodes:,} episodes, which are kept.")

@@ -15,6 +15,7 @@ from esc_agents.driving.environments import MEANING, wrapper_json
 from esc_agents.driving.episodes import model_policy
 from esc_agents.driving.experts import check_planner, copyable, named
 from esc_agents.errors import UserError
+from esc_agents.training.evaluation import learned
 from esc_agents.training.models import load_model
 from esc_agents.training.run_directory import open_run
 from esc_gym.adaptation import adapt
@@ -48,17 +49,21 @@ def expert_of(name: str, planner: LookAhead, config: TrainConfig, trust: bool = 
 
 def _policy(directory: Path, config: TrainConfig, count: int, trust: bool) -> Expert:
     """A trained policy; it has to know what the observations here mean."""
-    theirs = open_run(directory, trust)
-    model, _ = load_model(theirs.model_copy(update={"device": config.device}), directory, trust)
+    theirs = open_run(directory, trust).model_copy(update={"device": config.device})
+    model, _ = load_model(theirs, directory, trust)
+    if getattr(model.action_space, "n", None) != count:
+        raise UserError(
+            f"{RUN}{directory}: expected a run with the {count} meta-actions of {config.env}, got "
+            f"one with the actions {model.action_space}"
+        )
+    there = learned(directory)
     with copyable(f"{RUN}{directory}", config) as envs:
-        here = wrapper_json(envs.materialise(0) if envs.engine is None else envs.engine.env)
-        there = json.loads((directory / "wrapper.json").read_bytes())
-        for key in MEANING:
-            if json.loads(json.dumps(here[key])) != there.get(key):
-                raise UserError(
-                    f"{RUN}{directory}: expected a run with the same observation, got {key} "
-                    f"{there.get(key)} there and {here[key]} here"
-                )
+        here = json.loads(json.dumps(wrapper_json(envs.engine.env)))
+    if key := next((key for key in MEANING if here[key] != there[key]), None):
+        raise UserError(
+            f"{RUN}{directory}: expected a run with the same observation, got {key} {there[key]} "
+            f"there and {here[key]} here"
+        )
     policy = model_policy(model)
 
     def values(envs: BatchVecEnv, observations: dict[str, NDArray], chosen: NDArray) -> NDArray:

@@ -136,10 +136,10 @@ def _elsewhere(
     )
     probe = check_env(there)
     found = {**wrapper_json(probe), "actions": _actions(there)}
-    for name, learned in {**_learned(run_dir), "actions": _actions(config)}.items():
-        if (here := json.loads(json.dumps(found[name]))) != learned:
+    for name, wanted in {**learned(run_dir), "actions": _actions(config)}.items():
+        if (here := json.loads(json.dumps(found[name]))) != wanted:
             raise UserError(
-                f"{env or config.env}: expected {flow({name: learned})}, as in training, got "
+                f"{env or config.env}: expected {flow({name: wanted})}, as in training, got "
                 f"{flow({name: here})}; only a run of its own can learn that"
             )
     try:
@@ -155,7 +155,7 @@ def _actions(config: TrainConfig) -> dict[str, Any]:
     return {name: section.get(name, True) for name in ("type", "longitudinal", "lateral")}
 
 
-def _learned(run_dir: Path) -> dict[str, Any]:
+def learned(run_dir: Path) -> dict[str, Any]:
     """What the numbers meant that a run's policy learned from."""
     run_directory.verify(run_dir, "wrapper.json")
     try:

@@ -149,6 +149,17 @@ def test_what_takes_a_run_takes_it(whole, call, tmp_path):
     assert call(imitate_cli, "--resume", "run")[2].endswith("there is nothing to continue\n")
 
 
+def test_experts_of_other_actions_or_without_a_meaning(sac_run, whole, tmp_path):
+    config, planner = small().train_config(), small().planner.make()
+    with pytest.raises(UserError, match="expected a run with the 5 meta-actions of highway-fast"):
+        expert_of(f"run:{sac_run}", planner, config)
+    shutil.copytree(whole, tmp_path / "run")
+    (tmp_path / "run" / "wrapper.json").unlink()
+    (tmp_path / "run" / "SHA256SUMS").unlink()
+    with pytest.raises(UserError, match=r"wrapper\.json is damaged or missing"):
+        expert_of(f"run:{tmp_path / 'run'}", planner, config)
+
+
 def test_the_policy_of_a_run_is_an_expert(whole):
     """Its own choice is worth 1; who learned from another observation cannot label."""
     config = small().train_config()
