@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
 import os
@@ -64,6 +65,23 @@ def parse(program: str, type_: type[T], args: Sequence[str], default: Any = None
         os.environ.pop("COLUMNS", None)
         if columns is not None:
             os.environ["COLUMNS"] = columns
+
+
+def early(args: Sequence[str], *flags: str, **choices: Sequence[str]) -> argparse.Namespace:
+    """What stands behind ``flags`` and --trust, on which the defaults of all others depend.
+
+    choices: further flags, by name, and what each may say.
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    for flag in flags:
+        parser.add_argument(flag)
+    for name, allowed in choices.items():
+        parser.add_argument(f"--{name}", choices=allowed)
+    parser.add_argument("--trust", action=argparse.BooleanOptionalAction, default=False)
+    try:
+        return parser.parse_known_args(args)[0]
+    except argparse.ArgumentError as error:
+        raise UserError(str(error)) from error
 
 
 def _one_line(framed: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 from collections.abc import Callable, Sequence
@@ -10,8 +9,8 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import PositiveFloat, PositiveInt
 
+from esc_agents.cli import early
 from esc_agents.config import Model, load
-from esc_agents.errors import UserError
 
 M = TypeVar("M", bound=Model)
 
@@ -45,13 +44,7 @@ class EngineArguments(Model):
 
 def base_of(args: Sequence[str], kind: str, model: type[M]) -> M:
     """The values behind the flags: of the YAML file that --config names, or the model's own."""
-    early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    early.add_argument("--config")
-    early.add_argument("--trust", action=argparse.BooleanOptionalAction, default=False)
-    try:
-        given, _ = early.parse_known_args(args)
-    except argparse.ArgumentError as error:
-        raise UserError(str(error)) from error
+    given = early(args, "--config")
     return load(given.config, kind, model, given.trust) if given.config else model()
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
-from esc_agents.cli import Trust, guarded, parse
+from esc_agents.cli import Trust, early, guarded, parse
 from esc_agents.config import config_for_env
 from esc_agents.errors import UserError
 from esc_agents.imitation.settings import ImitateConfig
@@ -53,14 +52,7 @@ def command(args: list[str]) -> int:
 
 def _base(args: list[str]) -> ImitateArguments:
     """The defaults behind the flags: of the run to resume, or of --env."""
-    early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    for flag in ("--env", "--resume"):
-        early.add_argument(flag)
-    early.add_argument("--trust", action=argparse.BooleanOptionalAction, default=False)
-    try:
-        given, _ = early.parse_known_args(args)
-    except argparse.ArgumentError as error:
-        raise UserError(str(error)) from error
+    given = early(args, "--env", "--resume")
     if given.resume is not None:
         from esc_agents.imitation.imitate import open_imitation
 

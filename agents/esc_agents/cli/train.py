@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 from typing import get_args
 
-from esc_agents.cli import Trust, guarded, parse
+from esc_agents.cli import Trust, early, guarded, parse
 from esc_agents.config import (
     Algorithm,
     TrainConfig,
@@ -62,15 +61,7 @@ def command(args: list[str]) -> int:
 
 def _base(args: list[str]) -> TrainArguments:
     """The defaults behind the flags: of the run to resume, of --config, or of --env."""
-    early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    for flag in ("--config", "--env", "--resume"):
-        early.add_argument(flag)
-    early.add_argument("--algo", choices=get_args(Algorithm))
-    early.add_argument("--trust", action=argparse.BooleanOptionalAction, default=False)
-    try:
-        given, _ = early.parse_known_args(args)
-    except argparse.ArgumentError as error:
-        raise UserError(str(error)) from error
+    given = early(args, "--config", "--env", "--resume", algo=get_args(Algorithm))
     if given.resume is not None:
         from esc_agents.training.run_directory import open_run
 
