@@ -5,6 +5,7 @@ Worker processes import this module, which itself needs no torch.
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import warnings
@@ -132,6 +133,16 @@ def factories(config: TrainConfig, count: int, **options: Any) -> list[Callable[
 
 MEANING = ("features", "ego_features", "frame", "perception_distance", "ranges", "limits")
 """What of ``wrapper_json`` weights depend on."""
+
+
+def other_meaning(here: dict[str, Any], there: dict[str, Any]) -> str:
+    """In what two ``wrapper_json``, one of them from a file, differ for weights; "" if in nothing.
+
+    For messages: "KEY ITS VALUE there and ITS VALUE here".
+    """
+    mine = json.loads(json.dumps(here))
+    key = next((key for key in MEANING if mine[key] != there.get(key)), None)
+    return f"{key} {there.get(key)} there and {here[key]} here" if key else ""
 
 
 def wrapper_json(env: gym.Env) -> dict[str, Any]:

@@ -7,7 +7,6 @@ hold numbers and names: weights, and what the network around them is built from.
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,7 +24,7 @@ from torch import Tensor
 
 from esc_agents import files, strangers
 from esc_agents.config import TrainConfig
-from esc_agents.driving.environments import MEANING
+from esc_agents.driving.environments import other_meaning
 from esc_agents.errors import UserError
 from esc_gym.adaptation import pinned_arguments
 from esc_gym.extractors import SetExtractor
@@ -147,12 +146,9 @@ def start_from(
     """
     name = "policy" if (folder / DESCRIPTION).exists() else "best_policy"
     description, weights = _read(folder, name, trust)
-    here, there = json.loads(json.dumps(observation)), description.observation
-    what = next((key for key in MEANING if here[key] != there.get(key)), None)
-    if what:
+    if what := other_meaning(observation, description.observation):
         raise UserError(
-            f"start_from {folder}: expected a run with the same observation, got {what} "
-            f"{there.get(what)} there and {here[what]} here"
+            f"start_from {folder}: expected a run with the same observation, got {what}"
         )
     if description.algo != algo or description.action.build() != policy.action_space:
         raise UserError(

@@ -21,7 +21,7 @@ import gymnasium as gym
 import numpy as np
 
 from esc_agents import files
-from esc_agents.driving.environments import MEANING
+from esc_agents.driving.environments import other_meaning
 from esc_agents.errors import UserError
 from esc_agents.imitation.labels import Drive
 from esc_agents.training.run_directory import verify, write_checksums
@@ -105,12 +105,8 @@ def read(path: Path, observation: dict[str, Any], actions: int) -> list[Drive]:
         ) from missing
     except Exception as error:  # whatever HDF5 and JSON make of a file that is none
         raise UserError(f"data {path} is damaged: {type(error).__name__}: {error}") from error
-    here, there = json.loads(json.dumps(observation)), about["observation"]
-    if what := next((key for key in MEANING if here[key] != there.get(key)), None):
-        raise UserError(
-            f"data {path}: expected the same observation, got {what} {there.get(what)} there and "
-            f"{here[what]} here"
-        )
+    if what := other_meaning(observation, about["observation"]):
+        raise UserError(f"data {path}: expected the same observation, got {what}")
     if about["actions"] != actions:
         raise UserError(
             f"data {path}: expected labels of {actions} actions, got {about['actions']}"

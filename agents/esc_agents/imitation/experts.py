@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from esc_agents.config import TrainConfig
 from esc_agents.driving.batch import BatchVecEnv
-from esc_agents.driving.environments import MEANING, wrapper_json
+from esc_agents.driving.environments import other_meaning, wrapper_json
 from esc_agents.driving.episodes import model_policy
 from esc_agents.driving.experts import check_planner, copyable, named
 from esc_agents.errors import UserError
@@ -58,12 +57,9 @@ def _policy(directory: Path, config: TrainConfig, count: int, trust: bool) -> Ex
         )
     there = learned(directory)
     with copyable(f"{RUN}{directory}", config) as envs:
-        here = json.loads(json.dumps(wrapper_json(envs.engine.env)))
-    if key := next((key for key in MEANING if here[key] != there[key]), None):
-        raise UserError(
-            f"{RUN}{directory}: expected a run with the same observation, got {key} {there[key]} "
-            f"there and {here[key]} here"
-        )
+        what = other_meaning(wrapper_json(envs.engine.env), there)
+    if what:
+        raise UserError(f"{RUN}{directory}: expected a run with the same observation, got {what}")
     policy = model_policy(model)
 
     def values(envs: BatchVecEnv, observations: dict[str, NDArray], chosen: NDArray) -> NDArray:
