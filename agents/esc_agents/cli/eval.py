@@ -12,8 +12,8 @@ from pydantic import BaseModel, ConfigDict, PositiveInt
 from esc_agents import pretrained
 from esc_agents.cli import Trust, guarded, parse
 from esc_agents.config import Mapping, Seed
+from esc_agents.driving.planner_config import PlannerConfig
 from esc_agents.errors import UserError
-from esc_agents.imitation.settings import PlannerConfig
 
 PROGRAM = "esc-eval"
 
@@ -90,9 +90,9 @@ def _expert(expert: Any, planner: PlannerConfig, given: dict[str, Any]) -> int:
         raise UserError(f"--shuffle: expected a trained policy; {expert} does not look at a set")
     from esc_agents.training.evaluation import evaluate_expert
 
-    for key in ("run_dir", "shuffle", "device", "trust"):
+    for key in ("run_dir", "shuffle", "device"):
         del given[key]
-    evaluate_expert(expert, planner.make(), **given)
+    evaluate_expert(planner if expert == "planner" else None, **given)
     return 0
 
 

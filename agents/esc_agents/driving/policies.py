@@ -144,12 +144,7 @@ def start_from(
     observation: what wrapper.json says, of the policy's inputs. trust: as of ``load_policy``.
     Raises UserError where that run saw, did, or is built otherwise; then nothing has changed.
     """
-    name = "policy" if (folder / DESCRIPTION).exists() else "best_policy"
-    description, weights = _read(folder, name, trust)
-    if what := other_meaning(observation, description.observation):
-        raise UserError(
-            f"start_from {folder}: expected a run with the same observation, got {what}"
-        )
+    description, weights = _knowing(f"start_from {folder}", folder, observation, trust)
     if description.algo != algo or description.action.build() != policy.action_space:
         raise UserError(
             f"start_from {folder}: expected a run of {algo} with the actions "
@@ -167,6 +162,30 @@ def start_from(
     return description.steps
 
 
+def load_driver(
+    folder: Path, observation: dict[str, Any], actions: spaces.Space, trust: bool = False
+) -> BasePolicy:
+    """The policy of the run in ``folder``, to drive where ``observation`` and ``actions`` are.
+
+    observation: as of ``start_from``. Raises UserError where it does not know them.
+    """
+    description, weights = _knowing(str(folder), folder, observation, trust)
+    if (theirs := description.action.build()) != actions:
+        raise UserError(f"{folder}: expected a run with the actions {actions}, got {theirs}")
+    return _built(description, weights, folder / DESCRIPTION)
+
+
+def _knowing(
+    who: str, folder: Path, observation: dict[str, Any], trust: bool
+) -> tuple[PolicyDescription, dict[str, Tensor]]:
+    """What a run ended with, else its best; UserError where its inputs mean something else."""
+    name = "policy" if (folder / DESCRIPTION).exists() else "best_policy"
+    description, weights = _read(folder, name, trust)
+    if what := other_meaning(observation, description.observation):
+        raise UserError(f"{who}: expected a run with the same observation, got {what}")
+    return description, weights
+
+
 def load_policy(
     folder: Path, device: str = "cpu", name: str = "policy", trust: bool = False
 ) -> tuple[Any, int]:
@@ -176,14 +195,19 @@ def load_policy(
     Raises UserError where they are missing, damaged, or do not belong together.
     """
     description, weights = _read(folder, name, trust)
-    described = folder / f"{name}.json"
+    return _built(description, weights, folder / f"{name}.json").to(device), description.steps
+
+
+def _built(
+    description: PolicyDescription, weights: dict[str, Tensor], described: Path
+) -> BasePolicy:
     try:
         policy = description.build()
         _set_weights(policy, weights)
     except (RuntimeError, ValueError, TypeError) as error:
         raise UserError(f"{described} does not describe the weights beside it: {error}") from error
     policy.set_training_mode(False)
-    return policy.to(device), description.steps
+    return policy
 
 
 def _read(folder: Path, name: str, trust: bool) -> tuple[PolicyDescription, dict[str, Tensor]]:

@@ -32,7 +32,7 @@ def collect(config: CollectConfig, out: Path, trust: bool = False) -> bool:
     if out.exists():
         raise UserError(f"out: {out} already exists; give another --out, or remove it")
     run = config.train_config()
-    expert = expert_of(config.expert, config.planner.make(), run, trust)
+    expert = expert_of(config.expert, config.planner, run, trust)
     parts = out.with_name(f".{out.name}.parts")
     _begin(parts, config)
     with locked(parts), StopOnSignal() as stop:

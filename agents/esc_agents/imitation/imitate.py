@@ -115,7 +115,7 @@ def _labellers(
         raise UserError("rounds: expected --expert, who labels what the learner meets")
     expert = given = None
     if config.expert:
-        expert = expert_of(config.expert, config.planner.make(), run, trust)
+        expert = expert_of(config.expert, config.planner, run, trust, free=1)
     if config.data:
         count = int(getattr(probe.action_space, "n", 0))
         given = datasets.read(config.data, wrapper_json(probe), count)

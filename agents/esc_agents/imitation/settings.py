@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from esc_agents.config import (
     EncoderConfig,
@@ -17,38 +17,10 @@ from esc_agents.config import (
     TrainConfig,
     config_for_env,
 )
-from esc_agents.errors import UserError
-from esc_gym.planning import LookAhead
+from esc_agents.driving.planner_config import PlannerConfig
 from esc_gym.registration import merge
 
 Loss = Literal["values", "cross-entropy", "regret"]
-
-
-class PlannerConfig(Model):
-    """How far, and with what knowledge, a planner looks ahead (esc_gym.planning.LookAhead)."""
-
-    knows: Literal["all", "observed"] = "all"
-    """all: what the others want, and what is still to be drawn; observed: what can be seen."""
-    horizon: PositiveInt = LookAhead.horizon
-    """Policy steps looked ahead."""
-    free: PositiveInt = LookAhead.free
-    """In how many of them, from the first on, every action is tried."""
-    continuations: tuple[str, ...] | None = LookAhead.continuations
-    """Meta-actions of which each is tried from then on; None: all."""
-    discount: Probability = LookAhead.discount
-    crash_cost: NonNegativeFloat = LookAhead.crash_cost
-    """What a collision costs beyond what the scenario takes for it."""
-    futures: PositiveInt = LookAhead.futures
-    """Guesses of what cannot be seen, over which is averaged."""
-    seed: Seed = LookAhead.seed
-    """Of the guesses."""
-
-    def make(self) -> LookAhead:
-        """The planner. Raises UserError where its numbers do not go together."""
-        try:
-            return LookAhead(**dict(self))
-        except ValueError as error:
-            raise UserError(f"--planner.{error}") from error
 
 
 class CollectConfig(Model):
@@ -94,7 +66,7 @@ class ImitateConfig(Model):
     """Who labels: planner, idm, or run:DIR; with --data it labels the rounds only."""
     data: Path | None = None
     """Directory that esc-collect wrote, to begin with."""
-    planner: PlannerConfig = PlannerConfig(free=1)
+    planner: PlannerConfig = PlannerConfig()
     """Of the expert planner."""
     labels: PositiveInt = 4000
     """Labels in each round, to the end of the last episode."""

@@ -23,6 +23,8 @@ from esc_agents.driving.episodes import (
     table,
 )
 from esc_agents.driving.films import film
+from esc_agents.driving.planner_config import PlannerConfig
+from esc_agents.driving.planners import TITLES, make_planner
 from esc_agents.driving.rule_driver import RULE
 from esc_agents.driving.vectorised import vectorise
 from esc_agents.errors import UserError, say
@@ -31,7 +33,6 @@ from esc_agents.training import run_directory
 from esc_agents.training.callbacks import StopOnSignal
 from esc_agents.training.models import load_model
 from esc_gym.adaptation import adapt
-from esc_gym.planning import LookAhead
 from esc_gym.registration import merge
 
 
@@ -75,28 +76,31 @@ def evaluate_run(
 
 
 def evaluate_expert(
-    expert: experts.Expert, planner: LookAhead, episodes: int, seed: int, env: str,
+    look_ahead: PlannerConfig | None, episodes: int, seed: int, env: str,
     env_config: dict[str, Any], video: Path | None, videos: int, json_file: Path | None,
+    trust: bool,
 ) -> Summary:  # fmt: skip
     """Evaluate a driver that has learned nothing, on ``episodes`` seeds from ``seed`` on.
 
-    planner: how one looks ahead. The others: as of ``evaluate_run``.
+    look_ahead: how a planner does; None: IDM/MOBIL drive. The others: as of ``evaluate_run``.
     """
     config = config_for_env(env)
     config = config.model_copy(update={"env_config": merge(config.env_config, env_config)})
-    experts.check(expert, planner, config)
+    planner = make_planner(look_ahead, config, trust) if look_ahead else None
+    if planner is None:
+        experts.check_rule(config)
     _check_outputs(video, json_file)
     with StopOnSignal() as stop:
         seeds = range(seed, seed + episodes)
-        drives = experts.drive(expert, planner, config, seeds, stop)
+        drives = experts.drive(planner, config, seeds, stop)
     if stop.interrupted:
         raise KeyboardInterrupt
     driven = f"{env} {flow(env_config) if env_config else ''}".strip()
-    name = RULE if expert == "idm" else f"planner, knows {planner.knows}"
+    name = f"{TITLES[type(planner)]}, knows {planner.knows}" if planner else RULE
     summary = _tell(name, f"{driven}; ", driven, drives, json_file)
     if video:
         for drive in drives[:videos]:
-            say(f"Video: {experts.film_expert(expert, planner, config, drive.seed, video)}")
+            say(f"Video: {experts.film_expert(planner, config, drive.seed, video)}")
     return summary
 
 

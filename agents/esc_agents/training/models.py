@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from stable_baselines3 import PPO, SAC, HerReplayBuffer
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import LinearSchedule, get_device
 from stable_baselines3.common.vec_env import VecEnv
@@ -15,6 +15,7 @@ from esc_agents.config import TrainConfig
 from esc_agents.driving.checks import check_device, extractor_arguments
 from esc_agents.driving.policies import load_policy
 from esc_agents.errors import UserError, say
+from esc_agents.training.hindsight import HindsightBuffer
 from esc_gym.extractors import SetExtractor
 from esc_gym.matching import parameter_count
 
@@ -46,7 +47,7 @@ def new_model(config: TrainConfig, envs: VecEnv) -> BaseAlgorithm:
         if config.ppo.use_sde:
             policy["log_std_init"] = -2.0  # of each of the many weights that add up to an action
     elif config.sac.hindsight:
-        settings["replay_buffer_class"] = HerReplayBuffer
+        settings["replay_buffer_class"] = HindsightBuffer
     policy["optimizer_kwargs"] = adam
     try:
         return ALGORITHMS[config.algo](

@@ -20,8 +20,7 @@ SEEDS = range(5, 8)
 def test_the_planner_drives_alike_in_any_company(knows):
     planner = LookAhead(horizon=3, knows=knows)
     together, alone = (
-        drive("planner", planner, tiny().model_copy(update={"n_envs": count}), SEEDS)
-        for count in (3, 1)
+        drive(planner, tiny().model_copy(update={"n_envs": count}), SEEDS) for count in (3, 1)
     )
     assert together == alone
     assert [episode.seed for episode in together] == list(SEEDS)
@@ -35,8 +34,8 @@ def test_its_episode_is_that_of_its_actions_in_a_single_environment(monkeypatch,
         lambda config, policy, seed, folder: taken.extend(policy(None) for _ in range(6)),
     )
     planner, config = LookAhead(horizon=3), tiny()
-    (episode,) = drive("planner", planner, config, [5])
-    film_expert("planner", planner, config, 5, tmp_path)
+    (episode,) = drive(planner, config, [5])
+    film_expert(planner, config, 5, tmp_path)
     env, rewards = make_env(config), []
     env.reset(seed=5)
     for (action,) in taken[: episode.length]:
@@ -45,7 +44,7 @@ def test_its_episode_is_that_of_its_actions_in_a_single_environment(monkeypatch,
 
 
 def test_the_rule_driver_is_an_expert():
-    assert drive("idm", LookAhead(), tiny(), SEEDS) == rule_driver(tiny(), SEEDS)
+    assert drive(None, tiny(), SEEDS) == rule_driver(tiny(), SEEDS)
 
 
 def test_films_and_results(call, tmp_path):
