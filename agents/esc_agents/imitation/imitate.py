@@ -21,14 +21,14 @@ import numpy as np
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
-from esc_agents import files, strangers
+from esc_agents import files, pretrained, strangers
 from esc_agents.config import TrainConfig, dump, load
 from esc_agents.driving.baselines import action_names
 from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import wrapper_json
 from esc_agents.driving.episodes import Summary, model_policy, seeds
-from esc_agents.driving.policies import load_policy, save_policy
+from esc_agents.driving.policies import load_policy, save_policy, start_from
 from esc_agents.driving.vectorised import closing, vectorise
 from esc_agents.errors import UserError, say
 from esc_agents.imitation import datasets, labels
@@ -71,6 +71,10 @@ def imitate(
         count = min(run.n_envs, run.evaluation.episodes)
         judges = stack.enter_context(closing(vectorise(run, count, evaluation=True)))
         model: Any = new_model(run, envs)
+        if config.start_from:
+            there = pretrained.run_of(config.start_from)
+            steps = start_from(model.policy, there, run.algo, wrapper_json(probe), trust)
+            say(f"Beginning with the weights of {there}, of {steps:,} steps")
         if resume is None:
             signed = strangers.signed(f"# mac: {strangers.BLANK}\n{dump(config)}")
             texts = {IMITATE: signed}

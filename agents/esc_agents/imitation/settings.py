@@ -95,6 +95,8 @@ class ImitateConfig(Model):
     """highway-env configuration, merged into the scenario's."""
     observation: ObservationConfig = ObservationConfig()
     encoder: EncoderConfig = EncoderConfig()
+    start_from: str | None = None
+    """Begin with the weights of another run: its directory, or zoo:NAME."""
     run_dir: Path | None = None
     """New directory for the run; default: runs/<env>-<repr>-imitation-<seed>-<time>."""
 
@@ -111,7 +113,7 @@ class ImitateConfig(Model):
         changes = {
             name: getattr(self, name)
             for name in ("repr", "seed", "threads", "device", "observation", "encoder",
-                         "run_dir")
+                         "start_from", "run_dir")
         }  # fmt: skip
         changes["env_config"] = merge(base.env_config, self.env_config)
         labels = (self.dagger_rounds + 1) * self.labels
