@@ -10,7 +10,6 @@ from typing import Any, cast
 import gymnasium as gym
 import torch
 
-from esc_agents import pretrained
 from esc_agents.config import TrainConfig
 from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.checks import check_env
@@ -69,9 +68,8 @@ def driver_of(source: str, run: TrainConfig, envs: SetVectorEnv, trust: bool = F
     or what it does.
     """
     torch.set_num_threads(run.threads)
-    folder = pretrained.run_of(source)
-    policy = load_driver(folder, wrapper_json(envs.engine.env), envs.single_action_space, trust)
-    with named(str(folder), run):
+    policy = load_driver(source, wrapper_json(envs.engine.env), envs.single_action_space, trust)
+    with named(source, run):
         adapt(policy, cast(Any, envs.engine.env))
     return model_policy(policy)
 

@@ -22,10 +22,10 @@ from stable_baselines3.common.policies import BasePolicy, MultiInputActorCriticP
 from stable_baselines3.sac.policies import MultiInputPolicy as SACPolicy
 from torch import Tensor
 
-from esc_agents import files, strangers
+from esc_agents import files, pretrained, strangers
 from esc_agents.config import TrainConfig
 from esc_agents.driving.environments import other_meaning
-from esc_agents.errors import UserError
+from esc_agents.errors import UserError, say
 from esc_gym.adaptation import pinned_arguments
 from esc_gym.extractors import SetExtractor
 from esc_gym.observation_type import GOAL, GOALS
@@ -137,53 +137,57 @@ def save_policy(
 
 
 def start_from(
-    policy: BasePolicy, folder: Path, algo: str, observation: dict[str, Any], trust: bool = False
-) -> int:
-    """Give an untrained policy the weights of the run in ``folder``; after how many steps they are.
+    policy: BasePolicy, source: str, algo: str, observation: dict[str, Any], trust: bool = False
+) -> None:
+    """Give an untrained policy the weights of another run, and say so.
 
-    observation: what wrapper.json says, of the policy's inputs. trust: as of ``load_policy``.
-    Raises UserError where that run saw, did, or is built otherwise; then nothing has changed.
+    source: its directory, or zoo:NAME. observation: what wrapper.json says, of the policy's inputs.
+    trust: as of ``load_policy``. Raises UserError where that run saw, did, or is built otherwise;
+    then nothing has changed.
     """
-    description, weights = _knowing(f"start_from {folder}", folder, observation, trust)
-    if description.algo != algo or description.action.build() != policy.action_space:
+    folder, description, weights = _run(source, trust)
+    who, does = f"start_from {source}", description.action.build()
+    if what := other_meaning(observation, description.observation):
+        raise UserError(f"{who}: expected a run with the same observation, got {what}")
+    if description.algo != algo or does != policy.action_space:
         raise UserError(
-            f"start_from {folder}: expected a run of {algo} with the actions "
-            f"{policy.action_space}, got {description.algo} and {description.action.build()}"
+            f"{who}: expected a run of {algo} with the actions {policy.action_space}, got "
+            f"{description.algo} and {does}"
         )
     mine = {key: tuple(tensor.shape) for key, tensor in _weights(policy).items()}
     theirs = {key: tuple(tensor.shape) for key, tensor in weights.items()}
     if mine != theirs:
         what = next(key for key in {**mine, **theirs} if mine.get(key) != theirs.get(key))
         raise UserError(
-            f"start_from {folder}: expected the same network, got {what} {theirs.get(what)} there "
-            f"and {mine.get(what)} here; repr, encoder, net_arch and max_vehicles have to agree"
+            f"{who}: expected the same network, got {what} {theirs.get(what)} there and "
+            f"{mine.get(what)} here; repr, encoder, net_arch and max_vehicles have to agree"
         )
     _set_weights(policy, weights)
-    return description.steps
+    say(f"Beginning with the weights of {folder}, of {description.steps:,} steps")
 
 
 def load_driver(
-    folder: Path, observation: dict[str, Any], actions: spaces.Space, trust: bool = False
+    source: str, observation: dict[str, Any], actions: spaces.Space, trust: bool = False
 ) -> BasePolicy:
-    """The policy of the run in ``folder``, to drive where ``observation`` and ``actions`` are.
+    """The policy of the run ``source``, to drive where ``observation`` and ``actions`` are.
 
-    observation: as of ``start_from``. Raises UserError where it does not know them.
+    source, observation, trust: as of ``start_from``. Raises UserError where it does not know them.
     """
-    description, weights = _knowing(str(folder), folder, observation, trust)
-    if (theirs := description.action.build()) != actions:
-        raise UserError(f"{folder}: expected a run with the actions {actions}, got {theirs}")
+    folder, description, weights = _run(source, trust)
+    if (does := description.action.build()) != actions:
+        raise UserError(f"{source}: expected a run with the actions {actions}, got {does}")
+    if what := other_meaning(observation, description.observation):
+        raise UserError(f"{source}: expected a run with the same observation, got {what}")
     return _built(description, weights, folder / DESCRIPTION)
 
 
-def _knowing(
-    who: str, folder: Path, observation: dict[str, Any], trust: bool
-) -> tuple[PolicyDescription, dict[str, Tensor]]:
-    """What a run ended with, else its best; UserError where its inputs mean something else."""
+def _run(source: str, trust: bool) -> tuple[Path, PolicyDescription, dict[str, Tensor]]:
+    """The directory that ``source`` means, and what its run ended with, else its best."""
+    folder = pretrained.run_of(source)
+    if not folder.is_dir():
+        raise UserError(f"{folder} is no run directory: expected policy.json in it")
     name = "policy" if (folder / DESCRIPTION).exists() else "best_policy"
-    description, weights = _read(folder, name, trust)
-    if what := other_meaning(observation, description.observation):
-        raise UserError(f"{who}: expected a run with the same observation, got {what}")
-    return description, weights
+    return folder, *_read(folder, name, trust)
 
 
 def load_policy(

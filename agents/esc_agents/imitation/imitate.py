@@ -21,7 +21,7 @@ import numpy as np
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
-from esc_agents import files, pretrained, strangers
+from esc_agents import files, strangers
 from esc_agents.config import TrainConfig, dump, load
 from esc_agents.driving.baselines import action_names
 from esc_agents.driving.batch import BatchVecEnv
@@ -72,9 +72,7 @@ def imitate(
         judges = stack.enter_context(closing(vectorise(run, count, evaluation=True)))
         model: Any = new_model(run, envs)
         if config.start_from:
-            there = pretrained.run_of(config.start_from)
-            steps = start_from(model.policy, there, run.algo, wrapper_json(probe), trust)
-            say(f"Beginning with the weights of {there}, of {steps:,} steps")
+            start_from(model.policy, config.start_from, run.algo, wrapper_json(probe), trust)
         if resume is None:
             signed = strangers.signed(f"# mac: {strangers.BLANK}\n{dump(config)}")
             texts = {IMITATE: signed}

@@ -17,7 +17,7 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.vec_env import VecEnv
 from torch.utils.tensorboard import SummaryWriter
 
-from esc_agents import files, pretrained
+from esc_agents import files
 from esc_agents.config import TrainConfig
 from esc_agents.driving.baselines import action_names
 from esc_agents.driving.checks import check
@@ -64,9 +64,7 @@ def train(
         envs, judges = (stack.enter_context(closing(made)) for made in _vectorised(config))
         model, found = _model(config, envs, resume, trust)
         if config.start_from and found is None:
-            there = pretrained.run_of(config.start_from)
-            steps = start_from(model.policy, there, config.algo, wrapper_json(probe), trust)
-            say(f"Beginning with the weights of {there}, of {steps:,} steps")
+            start_from(model.policy, config.start_from, config.algo, wrapper_json(probe), trust)
         if resume:
             run_directory.note_session(resume, config)
         else:

@@ -207,8 +207,6 @@ def test_resume_takes_more_steps_and_nothing_else(args, message, call, own_run):
         (["--expert", "planner", "--env", "merg"], "did you mean 'merge'?"),
         (["--expert", "planner", "--env", "merge", "--shuffle"], "--shuffle: expected a trained"),
         (["--expert", "planner", "--env", "merge", "--planner.continuations", "UP"], "got 'UP'"),
-        (["--expert", "planner", "--env", "parking"], "expected an environment with meta-actions"),
-        (["--expert", "planner", "--env", "parking", "--video", "v"], "with meta-actions"),
         (["--expert", "idm", "--env", "parking", "--video", "v"], "follows lanes"),
         (["--expert", "idm", "--env", "parking"], "follows lanes, and none leads to a parking"),
         (["--expert", "idm", "--env", "merge", "--planner.horizon", "3"], "got --expert idm"),
@@ -216,6 +214,28 @@ def test_resume_takes_more_steps_and_nothing_else(args, message, call, own_run):
 )
 def test_bad_input_of_eval(args, message, call, tmp_path):
     code, out, err = call(eval_cli, *args)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert message in err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("parking method tree", "expected an environment with meta-actions"),
+        ("parking free 2", "--planner.free: the method cross-entropy has none; leave it out"),
+        ("merge method cross-entropy", "expected an environment with continuous actions, got"),
+        ("merge samples 64", "--planner.samples: the method look-ahead has none; leave it out"),
+        ("merge policy gone", "gone is no run directory"),
+        ("merge policy zoo:marge", "did you mean 'merge'?"),
+        ("merge policy zoo:roundabout", "zoo:roundabout: expected a run with the same observation"),
+    ],
+)
+def test_bad_planners(flags, message, call, tmp_path):
+    env, name, value = flags.split()
+    code, out, err = call(
+        eval_cli, "--expert", "planner", "--env", env, f"--planner.{name}", value, "--video", "v"
+    )
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert message in err
     assert not list(tmp_path.iterdir())

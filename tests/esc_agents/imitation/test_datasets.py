@@ -135,7 +135,7 @@ def test_data_of_others(made, observation, tmp_path):
         ("--expert oracle", "expert: expected planner, idm or run:DIR, got 'oracle'"),
         ("--expert run:nowhere", "nowhere is no run directory"),
         ("--env parking --expert idm", "idm: parking-v0: expected an environment with meta-act"),
-        ("--env parking", "planner: parking-v0: expected an environment with meta-actions"),
+        ("--env parking", "planner: parking-v0: expected meta-actions, whose values it says"),
         ("--out labels", "out: expected a name that ends with a version, as -v0, got 'labels'"),
         ("--planner.free 11", "--planner.free: expected at most the horizon, 10, got 11"),
         ("--episodes 0", "episodes Input should be greater than 0 (got 0)"),

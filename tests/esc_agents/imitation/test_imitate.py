@@ -11,6 +11,7 @@ import torch
 
 from esc_agents.cli import eval as eval_cli, imitate as imitate_cli, train as train_cli
 from esc_agents.driving.batch import BatchVecEnv
+from esc_agents.driving.planner_config import PlannerConfig
 from esc_agents.driving.policies import load_policy
 from esc_agents.errors import UserError
 from esc_agents.imitation import collect, imitate, labels
@@ -18,6 +19,7 @@ from esc_agents.imitation.experts import expert_of
 from esc_agents.imitation.imitate import open_imitation
 from esc_agents.imitation.labels import Labels
 from esc_agents.imitation.learning import measure
+from esc_gym.planning import LookAhead
 from tests.esc_agents.imitation.small import PLANNER, gathered, small
 from tests.esc_agents.training.test_instants import files_of
 from tests.esc_agents.training.test_resume import Killed, kill
@@ -150,20 +152,19 @@ def test_what_takes_a_run_takes_it(whole, call, tmp_path):
 
 
 def test_experts_of_other_actions_or_without_a_meaning(sac_run, whole, tmp_path):
-    config, planner = small().train_config(), small().planner.make()
-    with pytest.raises(UserError, match="expected a run with the 5 meta-actions of highway-fast"):
+    config, planner = small().train_config(), small().planner
+    with pytest.raises(UserError, match=r"expected a run with the actions Discrete\(5\), got Box"):
         expert_of(f"run:{sac_run}", planner, config)
     shutil.copytree(whole, tmp_path / "run")
-    (tmp_path / "run" / "wrapper.json").unlink()
-    (tmp_path / "run" / "SHA256SUMS").unlink()
-    with pytest.raises(UserError, match=r"wrapper\.json is damaged or missing"):
+    (tmp_path / "run" / "policy.json").write_text("{}")
+    with pytest.raises(UserError, match=r"policy\.json is damaged or of another version"):
         expert_of(f"run:{tmp_path / 'run'}", planner, config)
 
 
 def test_the_policy_of_a_run_is_an_expert(whole):
     """Its own choice is worth 1; who learned from another observation cannot label."""
     config = small().train_config()
-    expert = expert_of(f"run:{whole}", small().planner.make(), config)
+    expert = expert_of(f"run:{whole}", small().planner, config)
     envs = BatchVecEnv(config, 4, evaluation=True)
     observations = envs.reset()
     found = expert(envs, observations, np.array([2, 0]))
@@ -173,7 +174,35 @@ def test_the_policy_of_a_run_is_an_expert(whole):
     np.testing.assert_array_equal(found, np.eye(5)[chosen])
     other = small(observation={"perception_distance": 50}).train_config()
     with pytest.raises(UserError, match="same observation, got perception_distance"):
-        expert_of(f"run:{whole}", small().planner.make(), other)
+        expert_of(f"run:{whole}", small().planner, other)
+
+
+def test_a_planner_whose_plans_a_run_goes_on_with(whole):
+    """It drives on as the run does: beside a planner that is given the run's policy."""
+    config = small().train_config()
+    look_ahead = PlannerConfig(horizon=4, free=1, continuations=("IDLE",), policy=str(whole))
+    expert = expert_of("planner", look_ahead, config)
+    envs = BatchVecEnv(config, 4, evaluation=True)
+    observations = envs.reset()
+    policy = load_policy(whole)[0]
+    planner = LookAhead(
+        horizon=4, free=1, continuations=("IDLE",),
+        policy=lambda seen: policy.predict(seen, deterministic=True)[0],
+    )  # fmt: skip
+    found = expert(envs, observations, np.arange(4))
+    np.testing.assert_array_equal(found, planner.values(envs.envs))
+    other = small(observation={"perception_distance": 50}).train_config()
+    with pytest.raises(UserError, match="same observation, got perception_distance"):
+        expert_of("planner", look_ahead, other)
+
+
+def test_it_begins_with_the_weights_of_another_run(whole, tmp_path, capsys):
+    """Nothing is learned with a rate of nearly nothing: what it was is what it is."""
+    config = small(start_from=str(whole), learning_rate=1e-30, rounds=0, run_dir=tmp_path / "on")
+    assert imitate.imitate(config)
+    assert f"Beginning with the weights of {whole}" in capsys.readouterr().out
+    ours, theirs = (load_policy(folder)[0].state_dict() for folder in (tmp_path / "on", whole))
+    assert all(torch.equal(ours[name], theirs[name]) for name in theirs)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from esc_agents.imitation.labels import Drive, Labels, collect, split
 from esc_gym.planning import LookAhead
 from tests.esc_agents.imitation.small import small
 
-PLANNER = LookAhead(horizon=2, free=1)
+PLANNER = LookAhead(**small().planner.model_dump(include={"horizon", "free"}))
 SEEDS = [5, 6, 9, 7, 8]
 
 
@@ -23,7 +23,7 @@ def config():
 
 @pytest.fixture(scope="module")
 def expert(config):
-    return expert_of("planner", PLANNER, config)
+    return expert_of("planner", small().planner, config)
 
 
 def driven(config, expert, seeds=SEEDS, learner=None, noise=0.5, count=2, **options):

@@ -93,7 +93,7 @@ def begun(folder, **changes):
         observation = wrapper_json(make_env(config))
         error = None
         try:
-            start_from(policy, folder, config.algo, observation)
+            start_from(policy, str(folder), config.algo, observation)
         except UserError as refused:
             error = str(refused)
         return policy, before, error

@@ -10,41 +10,9 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from esc_gym.fastsim.kernel import VEHICLES
 from esc_gym.fastsim.records import IDM
-from esc_gym.planning import LookAhead, best, guess, idm_actions, meta_actions, rollouts
-from tests.esc_gym.vector.stock import batch, stock
-
-IDS = ["esc_gym/highway-fast-v0", "esc_gym/merge-v0", "esc_gym/intersection-v0"]
-
-
-def driven(env_id, count=2, steps=3, **arguments):
-    """A batch in the middle of its first episodes, and stock environments in the same places."""
-    envs = batch(env_id, count, {}, **arguments)
-    envs.reset(seed=7)
-    others = [stock(env_id, {}) for _ in range(count)]
-    for seed, other in enumerate(others, 7):
-        other.reset(seed=seed)
-    for step in range(steps):
-        action = step % envs.single_action_space.n
-        envs.step(np.full(count, action))
-        for other in others:
-            other.step(action)
-    return envs, others
-
-
-def by_deep_copies(env, sequences, planner):
-    """The returns of sequences of actions, each in a deep copy of ``env``; and how many crash."""
-    returns, crashes = [], 0
-    for sequence in sequences:
-        copy, total = deepcopy(env), 0.0
-        for step, action in enumerate(sequence.tolist()):
-            _, reward, terminated, truncated, _ = copy.step(action)
-            crashed = terminated and copy.unwrapped.vehicle.crashed
-            crashes += crashed
-            total += planner.discount**step * (float(reward) - planner.crash_cost * crashed)
-            if terminated or truncated:
-                break
-        returns.append(total)
-    return returns, crashes
+from esc_gym.planning import OWN, LookAhead, best, guess, idm_actions, meta_actions, rollouts
+from tests.esc_gym.planning.scenes import IDS, by_deep_copies, driven, restless
+from tests.esc_gym.vector.stock import batch
 
 
 @pytest.mark.parametrize("env_id", IDS)
@@ -59,6 +27,19 @@ def test_values_are_those_of_deep_copies(env_id):
     np.testing.assert_array_equal(
         planner.values(envs, [1, 0, -1]), [expected[i] for i in (1, 0, 1)]
     )
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_policy_drives_on_as_in_deep_copies(env_id):
+    planner = LookAhead(horizon=6, free=1, continuations=(), policy=restless)
+    envs, others = driven(env_id)
+    plans = planner.sequences(envs)
+    assert plans[:, 0].tolist() == [[action, *[OWN] * 5] for action in range(len(plans))]
+    returns = [by_deep_copies(other, plans[:, 0], planner, restless)[0] for other in others]
+    np.testing.assert_array_equal(planner.values(envs), returns)
+    without = LookAhead(horizon=6, free=1).values(envs)
+    both = LookAhead(horizon=6, free=1, policy=restless).values(envs)
+    np.testing.assert_array_equal(both, np.maximum(without, returns))
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
