@@ -20,11 +20,14 @@ class HindsightBuffer(HerReplayBuffer):
         self, batch_indices: np.ndarray, env_indices: np.ndarray, env: Any = None
     ) -> Any:
         found = super()._get_virtual_samples(batch_indices, env_indices, env)
-        of_goal = self.env.env_method(  # type: ignore[union-attr]
-            "compute_reward",
-            self.next_observations["achieved_goal"][batch_indices, env_indices],
-            self.observations["desired_goal"][batch_indices, env_indices],
-            [{}] * len(batch_indices), indices=[0],
-        )[0].astype(np.float32)  # fmt: skip
-        other = self.rewards[batch_indices, env_indices] - of_goal
-        return found._replace(rewards=found.rewards + self.to_torch(other[:, None]))
+        rewards = found.rewards.clone()
+        ended = np.flatnonzero(self.dones[batch_indices, env_indices])
+        if len(ended):
+            where = batch_indices[ended], env_indices[ended]
+            (of_goal,) = self.env.env_method(  # type: ignore[union-attr]
+                "compute_reward", self.next_observations["achieved_goal"][where],
+                self.observations["desired_goal"][where], [{}] * len(ended), indices=[0],
+            )  # fmt: skip
+            other = self.rewards[where] - of_goal.astype(np.float32)
+            rewards[ended, 0] += self.to_torch(other)
+        return found._replace(rewards=rewards)

@@ -9,7 +9,7 @@ from stable_baselines3 import HerReplayBuffer
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import make_env
 from esc_agents.driving.policies import load_policy
-from esc_agents.driving.vectorised import vectorise
+from esc_agents.driving.vectorised import closing, vectorise
 from esc_agents.errors import UserError
 from esc_agents.training import callbacks, run_directory
 from esc_agents.training.models import new_model
@@ -52,6 +52,33 @@ def test_it_learns_from_other_goals():
         assert isinstance(new_model(config(), envs).replay_buffer, HerReplayBuffer)
     finally:
         envs.close()
+
+
+def test_a_collision_costs_what_it_costs_whatever_the_goal():
+    envs = vectorise(config(env_config={"duration": 30}), 2)
+    with closing(envs):
+        buffer = new_model(config(), envs).replay_buffer
+        rng, crashed = np.random.default_rng(0), {}
+        seen = envs.reset()
+        for _ in range(400):  # full throttle
+            actions = np.stack([[1.0, rng.uniform(-1, 1)] for _ in range(2)]).astype(np.float32)
+            after, rewards, dones, infos = envs.step(actions)
+            # Where an episode ends, what is seen is the next one's beginning.
+            last = {name: part.copy() for name, part in after.items()}
+            for e in np.flatnonzero(dones):
+                for name, part in infos[e]["terminal_observation"].items():
+                    last[name][e] = part
+            buffer.add(seen, last, actions, rewards, dones, infos)
+            for e, info in enumerate(infos):
+                crashed[last["achieved_goal"][e].tobytes()] = info["crashed"]
+            seen = after
+        sample = buffer.sample(3000)
+        reached = sample.next_observations["achieved_goal"].numpy()
+        wanted = sample.observations["desired_goal"].numpy()
+        (of_goal,) = envs.env_method("compute_reward", reached, wanted, [{}] * 3000, indices=[0])
+        hit = np.array([crashed[goal.tobytes()] for goal in reached])
+        assert hit.sum() > 20
+        np.testing.assert_allclose(sample.rewards[:, 0], of_goal - 50 * hit, atol=1e-5)
 
 
 @pytest.mark.parametrize(
