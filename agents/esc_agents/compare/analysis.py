@@ -15,6 +15,7 @@ from esc_agents.compare import store
 from esc_agents.compare.grid import IMITATION, Candidate
 from esc_agents.compare.store import Baselines, Result, Tuned
 from esc_agents.driving.episodes import MEANS, Episode, Summary
+from esc_agents.driving.experts import PLANNER
 from esc_agents.driving.rule_driver import RULE
 from esc_agents.reporting.statistics import (
     Estimate,
@@ -274,9 +275,9 @@ def run_rows(tasks: Sequence[Task]) -> Iterator[dict[str, Any]]:
 
 
 def drivers(task: Task) -> dict[str, Summary]:
-    """Drivers that learn nothing, IDM/MOBIL first if it drove."""
-    rule = task.baselines.rule
-    return {**({RULE: rule} if rule else {}), **task.baselines.blind}
+    """Drivers that learn nothing, the planner and IDM/MOBIL first if they drove."""
+    first = {PLANNER: task.baselines.planner, RULE: task.baselines.rule}
+    return {name: drove for name, drove in first.items() if drove} | task.baselines.blind
 
 
 def missing(task: Task) -> list[str]:

@@ -17,6 +17,7 @@ from esc_agents.compare.store import Baselines, OrderEffect
 from esc_agents.config import TrainConfig
 from esc_agents.driving.baselines import blind_drives, rule_driver
 from esc_agents.driving.episodes import Episode, Summary, evaluate, model_policy
+from esc_agents.driving.experts import PLANNER, reference_planner
 from esc_agents.driving.rule_driver import RULE
 from esc_agents.driving.vectorised import closing, vectorise
 from esc_agents.errors import UserError, reason
@@ -53,7 +54,7 @@ def _envs(config: TrainConfig, policy: Any, episodes: int, **options: Any) -> It
 
 
 def baselines(config: TrainConfig, first_seed: int, episodes: int) -> Baselines:
-    """Every blind policy of a scenario, and IDM/MOBIL in the ego's place; or why not.
+    """Every blind policy of a scenario, IDM/MOBIL in the ego's place, and a planner; or why not.
 
     Raises UserError where no blind policy could drive.
     """
@@ -62,16 +63,17 @@ def baselines(config: TrainConfig, first_seed: int, episodes: int) -> Baselines:
     seeds = range(first_seed, first_seed + episodes)
     drives = blind_drives(config, episodes)
     drives[RULE] = lambda: Summary.of(rule_driver(config, seeds))
+    drives[PLANNER] = lambda: Summary.of(reference_planner(config, seeds))
     found, missing = {}, {}
     for name, driven in drives.items():
         try:
             found[name] = driven()
         except Exception as error:  # of one driver, which must not take the others with it
             missing[name] = reason(error)
-    rule = found.pop(RULE, None)
+    rule, planner = found.pop(RULE, None), found.pop(PLANNER, None)
     if not found:
         raise UserError(f"no blind policy could drive: {next(iter(missing.values()))}")
-    return Baselines(found, rule, files.versions(), missing)
+    return Baselines(found, rule, files.versions(), missing, planner)
 
 
 def network_of(policy: Any) -> nn.Module:

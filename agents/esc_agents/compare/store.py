@@ -84,15 +84,17 @@ class Tuned:
 
 @dataclass(frozen=True)
 class Baselines:
-    """Drivers that learn nothing, on the episodes of the study: blind ones, and IDM/MOBIL.
+    """Drivers that learn nothing, on the episodes of the study: blind ones, IDM/MOBIL, a planner.
 
-    missing: why, by name, those that are not there could not drive.
+    missing: why, by name, those that are not there could not drive. planner: also None in what was
+    measured before there was one.
     """
 
     blind: dict[str, Summary]
     rule: Summary | None
     made_with: dict[str, str]
     missing: dict[str, str] = field(default_factory=dict)
+    planner: Summary | None = None
 
 
 def task_folder(out: Path, cell: Cell) -> Path:
@@ -158,9 +160,11 @@ def baselines(folder: Path, trust: bool = False) -> Baselines | None:
         return None
     with _told(path):
         content = records.read(path, SCHEMA, trust)
-        if rule := content.pop("rule"):
-            (rule,) = summaries([{"policy": "rule", **rule}]).values()
-        return Baselines(summaries(content.pop("blind")), rule, **content)
+        for name in ("rule", "planner"):
+            if found := content.get(name):
+                content |= summaries([{"policy": name, **found}])
+        content["blind"] = summaries(content["blind"])
+        return Baselines(**content)
 
 
 def check_folder(out: Path) -> None:

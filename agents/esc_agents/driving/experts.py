@@ -15,8 +15,14 @@ from esc_agents.driving.checks import check_env
 from esc_agents.driving.environments import make_env
 from esc_agents.driving.episodes import Episode, evaluate
 from esc_agents.driving.films import film
+from esc_agents.driving.planner_config import PlannerConfig
+from esc_agents.driving.planners import make_planner
 from esc_agents.driving.vectorised import closing
-from esc_gym.planning import Planner
+from esc_agents.errors import UserError
+from esc_gym.planning import LookAhead, Planner
+
+PLANNER = "planner, knows all"
+"""What tables call ``reference_planner``."""
 
 
 def check_rule(config: TrainConfig) -> None:
@@ -38,6 +44,17 @@ def drive(
     envs = BatchVecEnv(config, min(config.n_envs, len(seeds)), evaluation=True)
     with closing(envs):
         return evaluate(envs, lambda observations: planner.actions(envs.envs), seeds, stop)
+
+
+def reference_planner(
+    config: TrainConfig, seeds: Sequence[int], stop: Callable[[], bool] = lambda: False
+) -> list[Episode]:
+    """Episodes of the planner that tables list, ``LookAhead(free=1)``: what can be had by who knows
+    all. stop: as in ``evaluate``. Raises UserError where it cannot plan, or would take hours."""
+    planner = make_planner(PlannerConfig(), config, free=1)
+    if not isinstance(planner, LookAhead):
+        raise UserError("continuous actions take it long; see esc-eval --expert planner")
+    return drive(planner, config, seeds, stop)
 
 
 def film_expert(planner: Planner | None, config: TrainConfig, seed: int, folder: Path) -> Path:

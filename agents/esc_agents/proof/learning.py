@@ -20,6 +20,7 @@ from esc_agents import files
 from esc_agents.config import TrainConfig, load_config, scenarios
 from esc_agents.driving.baselines import best_blind, is_above
 from esc_agents.driving.episodes import Summary, return_of, summaries, table
+from esc_agents.driving.experts import PLANNER
 from esc_agents.driving.rule_driver import RULE
 from esc_agents.errors import UserError, say
 from esc_agents.reporting.statistics import mean_interval
@@ -71,6 +72,7 @@ class Run:
             versions = json.loads((path / "versions.json").read_text(encoding="utf-8"))
             commands = (path / "command.txt").read_text(encoding="utf-8").splitlines()
             trained, rule = results.pop(config.repr), results.pop(RULE, None)
+            results.pop(PLANNER, None)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UserError(f"{path} is damaged: {type(error).__name__}: {error}") from error
         return cls(path, config, tuple(commands), versions, trained, results, rule, curve, metrics)

@@ -11,6 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from esc_agents.config import TrainConfig
 from esc_agents.driving.baselines import blind_policies, rule_driver, verdict
 from esc_agents.driving.episodes import (
+    Episode,
     Policy,
     Summary,
     as_rows,
@@ -18,6 +19,7 @@ from esc_agents.driving.episodes import (
     seeds,
     table,
 )
+from esc_agents.driving.experts import PLANNER, reference_planner
 from esc_agents.driving.rule_driver import RULE
 from esc_agents.errors import reason, say
 from esc_agents.reporting.tables import show, terminal
@@ -26,10 +28,16 @@ from esc_agents.training import run_directory
 
 def rule_summary(config: TrainConfig, stop: Callable[[], bool]) -> Summary | None:
     """How IDM/MOBIL drives; None, and a line that says why, where it cannot."""
+    return _summary(RULE, rule_driver, config, stop)
+
+
+def _summary(
+    name: str, driven: Callable[..., list[Episode]], config: TrainConfig, stop: Callable[[], bool]
+) -> Summary | None:
     try:
-        drives = rule_driver(config, seeds(config), stop)
+        drives = driven(config, seeds(config), stop)
     except Exception as error:  # nothing that it meets may cost the run its results
-        say(f"{RULE} is missing: {reason(error)}")
+        say(f"{name} is missing: {reason(error)}")
         return None
     return Summary.of(drives) if drives else None
 
@@ -38,21 +46,23 @@ def results(
     config: TrainConfig, policy: Policy, judges: VecEnv, names: dict[int, str],
     rule: Summary | None, stop: Callable[[], bool],
 ) -> dict[str, Summary]:  # fmt: skip
-    """A trained policy, the blind ones and IDM/MOBIL on the same episodes.
+    """A trained policy, the blind ones, IDM/MOBIL and the planner on the same episodes.
 
     judges: environments for evaluation. names: of discrete actions. stop: as of ``evaluate``.
     """
     space, seed = judges.action_space, config.evaluation.seed
     blind = blind_policies(space, judges.num_envs, names, seed)
     if not stop():
-        say(f"Evaluating {config.repr} beside {len(blind)} blind policies and {RULE} ...")
+        say(f"Evaluating {config.repr} beside {len(blind)} blind policies, {RULE}, a planner ...")
     found = {}
     for name, driver in ({config.repr: policy} | blind).items():
         if stop():
             break
         if episodes := evaluate(judges, driver, seeds(config), stop):
             found[name] = Summary.of(episodes)
-    return found | ({RULE: rule} if rule else {})
+    planner = None if stop() else _summary(PLANNER, reference_planner, config, stop)
+    references = {RULE: rule, PLANNER: planner}
+    return found | {name: summary for name, summary in references.items() if summary}
 
 
 def finish(config: TrainConfig, directory: Path, found: dict[str, Summary], what: str) -> None:
@@ -63,6 +73,7 @@ def finish(config: TrainConfig, directory: Path, found: dict[str, Summary], what
     run_directory.finish(directory, as_rows(found))
     title = f"{config.env}, {config.repr}, {what}; episodes: {config.evaluation.episodes}"
     show(terminal(table(found), title))
-    blind: Any = {name: s for name, s in found.items() if name not in (config.repr, RULE)}
+    others = config.repr, RULE, PLANNER
+    blind: Any = {name: s for name, s in found.items() if name not in others}
     say(verdict(config.repr, found[config.repr], blind))
     say(f"Run directory: {directory}")

@@ -19,6 +19,7 @@ from esc_agents.compare.grid import EPISODES, IMITATION
 from esc_agents.config import TrainConfig, flow
 from esc_agents.driving.baselines import best_blind, is_above
 from esc_agents.driving.episodes import Summary, model_policy, return_of
+from esc_agents.driving.experts import PLANNER
 from esc_agents.driving.films import gif, record
 from esc_agents.driving.policies import load_policy
 from esc_agents.driving.rule_driver import RULE
@@ -34,7 +35,9 @@ Agents that come with the package. Each row: the final policies of so many runs 
 recipe, or of imitation of a planner, with as many episodes each from seed {first:,} on, which no
 training saw; brackets hold 95 % intervals over all of these episodes. The agent that is kept is the
 run which was best at its own evaluations in training. "Above both": the interval of the return lies
-above those of every policy that never looks, and of IDM/MOBIL, on the same episodes. Steps: of
+above those of every policy that never looks, and of IDM/MOBIL, on the same episodes. The planner
+knows all, what the others want too, and tries every action in copies of the scene: a reference, and
+no driver for a road. Steps: of
 training, or labels "by imitation". Minutes: of one run, measured.
 
     esc-eval --pretrained NAME
@@ -109,6 +112,7 @@ def _versions(rows: Iterable[dict[str, Any]]) -> list[str]:
 def row(agent: Kept) -> dict[str, Any]:
     """An agent's line of the table, by column."""
     summary, (blind, rule) = agent.summary, rivals(agent)
+    planner = agent.task.baselines.planner
     minutes = sum(run.seconds for run in agent.runs) / len(agent.runs) / 60
     return {
         "agent": agent.name,
@@ -118,6 +122,7 @@ def row(agent: Kept) -> dict[str, Any]:
         "speed m/s": f"{summary.speed:.1f}",
         "best blind policy": said(blind),
         RULE: said(rule) if rule else "cannot drive",
+        PLANNER: said(planner) if planner else "",
         "above both": "yes" if above(agent) else "no",
         "runs x episodes": f"{len(agent.runs)} x {len(agent.chosen.drives[''])}",
         "steps": f"{steps(agent):,}{' by imitation' * (agent.chosen.cell.algo == IMITATION)}",
@@ -163,10 +168,10 @@ def card(agent: Kept, made_by: Sequence[str]) -> str:
     config, own = TrainConfig.model_validate(run.config), Summary.of(run.drives[""])
     rows = [("", "return", "crashes", "arrived", "speed m/s")]
     drivers = [(agent.name, own), ("best policy that never looks", blind)]
-    for name, summary in [*drivers, *([(RULE, rule)] if rule else [])]:
-        rows.append(
-            (name, return_of(summary), crashes(summary), arrivals(summary), f"{summary.speed:.1f}")
-        )
+    for name, summary in [*drivers, (RULE, rule), (PLANNER, agent.task.baselines.planner)]:
+        if summary:
+            said_of = return_of(summary), crashes(summary), arrivals(summary)
+            rows.append((name, *said_of, f"{summary.speed:.1f}"))
     seen = config.observation
     return CARD.format(
         name=agent.name, env=run.cell.env, id=config.env, reach=seen.perception_distance,

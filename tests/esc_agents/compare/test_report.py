@@ -67,7 +67,7 @@ def test_the_page_says_what_the_csv_says(compared):
     page = Tables((compared / "report.html").read_text())
     (table,) = page.titled("", "runs", "return")
     rows = rows_of(compared / "summary.csv")
-    assert len(rows) == len(table) - 1 == 2 + 1 + 6  # representations, IDM/MOBIL, blind
+    assert len(rows) == len(table) - 1 == 2 + 2 + 6  # representations, planner and IDM/MOBIL, blind
     for cells, row in zip(table[1:], rows, strict=True):
         assert cells[0] == row["driver"]
         assert cells[2] == shown(row, "return", ".2f")

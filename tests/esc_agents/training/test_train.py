@@ -17,6 +17,7 @@ from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import make_env
 from esc_agents.driving.episodes import Episode
+from esc_agents.driving.experts import drive
 from esc_agents.driving.policies import load_policy
 from esc_agents.driving.rule_driver import RuleDriver
 from esc_agents.driving.vectorised import vectorise
@@ -26,6 +27,7 @@ from esc_agents.training.models import ALGORITHMS, load_model, new_model
 from esc_agents.training.run_directory import STEP
 from esc_agents.training.train import train
 from esc_gym.fastsim import Report
+from esc_gym.planning import LookAhead
 from tests.esc_agents.tiny import PPO as PPO_SETTINGS, SAC as SAC_SETTINGS, SAC_RUN, tiny
 
 DRIVING = {
@@ -157,7 +159,7 @@ def test_results_compare_with_the_blind_policies(ppo_run, sac_run):
 
     meta = ["LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER"]
     blind = [f"always {action}" for action in meta]
-    assert names(ppo_run) == ["esc", *blind, "random", "IDM/MOBIL"]
+    assert names(ppo_run) == ["esc", *blind, "random", "IDM/MOBIL", "planner, knows all"]
     assert names(sac_run) == ["esc", "always neutral", "random", "IDM/MOBIL"]
 
 
@@ -175,6 +177,14 @@ def test_the_rule_driver_drives_the_same_episodes(ppo_run):
     assert rows["IDM/MOBIL"]["length"] == len(rewards)
 
 
+def test_the_planner_drives_the_same_episodes(ppo_run):
+    """As a batch of one drives them here."""
+    (episode,) = drive(LookAhead(free=1), tiny(), [tiny().evaluation.seed])
+    rows = {row["policy"]: row for row in json.loads((ppo_run / "results.json").read_text())}
+    found = rows["planner, knows all"]
+    assert (found["reward"], found["length"]) == (episode.reward, episode.length)
+
+
 def test_a_rule_driver_that_cannot_drive_costs_its_row_only(tmp_path, monkeypatch, capsys):
     def broken(self, **options):
         raise KeyError("lane")
@@ -184,7 +194,7 @@ def test_a_rule_driver_that_cannot_drive_costs_its_row_only(tmp_path, monkeypatc
     why = "IDM/MOBIL is missing: evaluation, environment 0, episode 0, step 0: KeyError: 'lane'"
     assert why in capsys.readouterr().out.splitlines()
     rows = json.loads((tmp_path / "run" / "results.json").read_text())
-    assert [row["policy"] for row in rows][-1] == "random"
+    assert [row["policy"] for row in rows][-2:] == ["random", "planner, knows all"]
 
 
 @pytest.mark.parametrize(("reward", "above"), [(-1000.0, True), (1000.0, False)])
