@@ -66,6 +66,11 @@ class Task:
         return [mean_return(result.drives[""]) for result in self.runs(repr)]
 
     @property
+    def imitated(self) -> bool:
+        """Whether its runs learned from labels."""
+        return self.settings["algo"] == IMITATION
+
+    @property
     def floor(self) -> tuple[str, Summary]:
         """The blind policy of highest mean return."""
         return max(self.baselines.blind.items(), key=lambda item: item[1].reward)
@@ -122,6 +127,12 @@ def load(out: Path, trust: bool = False) -> list[Task]:
             settings, tuned = store.task_settings(folder, trust), store.tuned(folder, trust)
             tasks.append(Task(folder, settings, baselines, results, tuned))
     return tasks
+
+
+def evaluated(runs: Sequence[Result]) -> list[float]:
+    """After how many steps, or labels, all runs were judged on the way."""
+    count = min(len(run.curve["timesteps"]) for run in runs)
+    return np.mean([run.curve["timesteps"][:count] for run in runs], axis=0).tolist()
 
 
 def tuning_scores(

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from esc_agents.compare.analysis import Task, duels, overall_duels, row, transfer
+from esc_agents.compare.analysis import Task, duels, evaluated, overall_duels, row, transfer
 from esc_agents.driving.rule_driver import RULE
 from esc_agents.reporting import plots
 from esc_agents.reporting.statistics import Estimate
@@ -26,16 +26,38 @@ def curves(tasks: Sequence[Task]) -> Figure:
     for axes, task in zip(panels, tasks, strict=True):
         for repr in task.reprs:
             runs = task.runs(repr)
-            count = min(len(run.curve["timesteps"]) for run in runs)
-            steps = np.mean([run.curve["timesteps"][:count] for run in runs], axis=0)
-            returns = [np.mean(run.curve["results"][:count], axis=1) for run in runs]
-            plots.band(axes, list(steps), returns, plots.color(repr), repr)
+            steps = evaluated(runs)
+            returns = [np.mean(run.curve["results"][: len(steps)], axis=1) for run in runs]
+            plots.band(axes, steps, returns, plots.color(repr), repr)
         axes.set_title(task.name, fontsize=10)
-        axes.set_xlabel("training steps")
+        axes.set_xlabel("labels" if task.imitated else "training steps")
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:,.0f}k")
         plots.tidy(axes)
     figure.supylabel("return", fontsize=10)
+    plots.legend(figure, panels)
+    return figure
+
+
+def regrets(tasks: Sequence[Task]) -> Figure:
+    """Held-out regret over labels, a panel for each task; bands: 95 % over seeds. Dashed: of the
+    action that is best on average."""
+    figure, panels = _panels(len(tasks), 2.4)
+    for axes, task in zip(panels, tasks, strict=True):
+        for repr in task.reprs:
+            runs = task.runs(repr)
+            labels = evaluated(runs)
+            found = [run.curve["regret"][: len(labels)] for run in runs]
+            plots.band(axes, labels, found, plots.color(repr), repr)
+        blind = np.mean([run.curve["blind_regret"][-1] for run in task.runs(task.reprs[0])])
+        axes.axhline(blind, color=plots.GREY, linestyle="--", linewidth=1.2, label="one action")
+        axes.set_xscale("log", base=2)
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+        axes.set_ylim(bottom=0)
+        axes.set_title(task.name, fontsize=10)
+        axes.set_xlabel("labels")
+        plots.tidy(axes)
+    figure.supylabel("regret", fontsize=10)
     plots.legend(figure, panels)
     return figure
 

@@ -35,6 +35,7 @@ TUNING_EPISODES = 3_000_000  # seed of the first episode on which tuning runs ar
 EPISODES = 2_000_000  # seed of the first episode on which final policies are judged
 
 IMITATION = "imitation"
+SCENARIO = "{env}"  # in the name of a data set
 LEARNED_FROM = ("observation", "encoder", "env_config")
 """Fields of a training run that imitation has, too."""
 OWN = {"env", "repr", "algo", "steps", "seed", "run_dir"}
@@ -74,7 +75,8 @@ class CompareConfig(Model):
     """imitate: from the labels of an expert, as esc-imitate does, and not by `algo`; without
     `steps`."""
     imitate: Mapping = Field(default_factory=dict)
-    """Of --learn imitate: fields of every run, as flags of esc-imitate; the expert is planner."""
+    """Of --learn imitate: fields of every run, as flags of esc-imitate; the expert is planner, or labels are
+    those of `data`, in whose name {env} stands for the scenario."""
     seeds: Annotated[int, Field(ge=1, lt=TUNING_SEED)] = 5
     """Runs of each representation in each scenario, with seeds 0, 1, 2, ..."""
     steps: PositiveInt | None = 200_000
@@ -229,8 +231,13 @@ def imitate_config(config: CompareConfig, cell: Cell, slots: int) -> ImitateConf
     own["env_config"] = run.env_config
     if taken := sorted(own.keys() & config.imitate.keys()):
         raise UserError(f"imitate: {', '.join(taken)}: set by the comparison itself; leave it out")
+    given: Any = config.imitate
+    if data := given.get("data"):
+        given = {**given, "data": str(data).replace(SCENARIO, cell.env)}
+    else:
+        given = {"expert": "planner", **given}
     try:
-        given = ImitateConfig.model_validate({"expert": "planner", **config.imitate, **own})
+        given = ImitateConfig.model_validate({**given, **own})
     except ValidationError as error:
         raise UserError(f"imitate: {explain(error, ImitateConfig)}") from error
     rate = given.learning_rate * cell.candidate.learning_rate

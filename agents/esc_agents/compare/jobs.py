@@ -35,12 +35,13 @@ from esc_agents.errors import UserError
 from esc_agents.imitation.imitate import imitate, open_imitation
 from esc_agents.imitation.settings import ImitateConfig
 from esc_agents.training import run_directory
-from esc_agents.training.run_directory import read_evaluations
+from esc_agents.training.run_directory import read_evaluations, read_metric
 from esc_agents.training.train import train
 from esc_gym.encoders import APEncoder
 from esc_gym.matching import parameter_count
 
 C = TypeVar("C", TrainConfig, ImitateConfig)
+REGRETS = "regret", "blind_regret"
 JUDGED = 3  # evaluations at the end of a tuning run, whose returns count
 PATIENCE = 60.0  # s to wait for a process that was killed and has not yet let go of its run
 
@@ -133,6 +134,8 @@ class TrainJob:
         shuffled = drive(config, policy, episodes, shuffle=True)
         saved = read_evaluations(folder / "evaluations.npz")
         curve = {name: saved[name].tolist() for name in ("timesteps", "results", "crashed")}
+        if self.config.learn == "imitate":
+            curve |= {name: read_metric(folder, f"imitation/{name}") for name in REGRETS}
         return Result(
             cell, vehicles, slots, (parameter_count(encoder), parameter_count(policy)),
             config.model_dump(mode="json"), curve, drives, shuffled, order, churn,

@@ -16,6 +16,7 @@ from esc_agents.compare.analysis import (
     above_floor,
     drivers,
     duels,
+    evaluated,
     load,
     missing,
     overall,
@@ -32,7 +33,7 @@ from esc_agents.compare.grid import EPISODES, TUNING_EPISODES
 from esc_agents.config import flow
 from esc_agents.errors import UserError, say
 from esc_agents.reporting.documents import Block, Heading, Rows, Text, picture, write
-from esc_agents.reporting.statistics import Estimate
+from esc_agents.reporting.statistics import Estimate, mean_interval
 from esc_agents.reporting.tables import show, terminal
 from esc_agents.training.run_directory import commands
 
@@ -136,8 +137,10 @@ def details(tasks: Sequence[Task]) -> Iterator[Block]:
     for task in tasks:
         runs = [run for repr in task.reprs for run in task.runs(repr)]
         seeds = sorted({run.cell.seed for run in runs})
-        steps = task.settings["steps"] or runs[0].config["steps"]  # None: the scenario's own
-        yield Text(f"**{task.name}**, {steps:,} training steps, seeds {', '.join(map(str, seeds))}")
+        steps = f"{task.settings['steps'] or runs[0].config['steps']:,} training steps"
+        if task.imitated:
+            steps = f"{runs[0].curve['timesteps'][-1]:,} labels"
+        yield Text(f"**{task.name}**, {steps}, seeds {', '.join(map(str, seeds))}")
         yield Rows(list(table(task)))
         if sentences := missing(task):
             again = f"Remove `{task.folder.name}/baselines.json` to have it tried again."
@@ -177,6 +180,33 @@ def learning(tasks: Sequence[Task]) -> Iterator[Block]:
     )
     alt = "Return over training steps of each representation, by scenario"
     yield picture("curves", figures.curves(tasks), alt)
+    if imitated := [task for task in tasks if task.imitated]:
+        yield from _regrets(imitated)
+
+
+def _regrets(tasks: Sequence[Task]) -> Iterator[Block]:
+    """How much of what the expert knows is learned from how many labels."""
+    yield Text(
+        "Regret: on states that were held out, what the best action is worth to the expert, less "
+        "what the action chosen is, in units of the return; mean over runs, with 95 % intervals "
+        "over runs (Student's t). Each number of labels was learned from anew. One action: the one "
+        "that is best on average."
+    )
+    alt = "Held-out regret over the number of labels of each representation, by scenario"
+    yield picture("regret", figures.regrets(tasks), alt)
+    for task in tasks:
+        labels = evaluated(task.runs(task.reprs[0]))
+        lines = [["", *(f"{number:,.0f} labels" for number in labels)]]
+        for repr in task.reprs:
+            found = zip(
+                *(run.curve["regret"][: len(labels)] for run in task.runs(repr)), strict=True
+            )
+            lines.append(
+                [f"{task.name}: {repr}", *(interval(Estimate(*mean_interval(f))) for f in found)]
+            )
+        blind = [run.curve["blind_regret"][-1] for run in task.runs(task.reprs[0])]
+        lines.append([f"{task.name}: one action", *[""] * (len(labels) - 1), f"{blind[0]:.2f}"])
+        yield Rows(lines)
 
 
 def robustness(tasks: Sequence[Task]) -> Iterator[Block]:

@@ -52,7 +52,8 @@ class Result:
 
     vehicles: N. slots: Z of fp and ap. parameters: of the features extractor, and of the whole
     policy. config: the training configuration. curve: training steps, returns [k][episodes] and
-    crashes of the evaluations on the way. drives: episodes of the final policy by traffic, "" in
+    crashes of the evaluations on the way; of imitation labels, and regret and blind_regret (see
+    imitation.learning.Measured), too. drives: episodes of the final policy by traffic, "" in
     the traffic that it was trained in. shuffled: the same as drives[""], rows in random order.
     churn: share of a policy's slots that hold another vehicle than a step before; None without
     slots. seconds: of training and measuring. made_with: device, versions and commit.

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from copy import deepcopy
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -33,7 +34,7 @@ from esc_agents.driving.vectorised import closing, vectorise
 from esc_agents.errors import UserError, say
 from esc_agents.imitation import datasets, labels
 from esc_agents.imitation.experts import Expert, expert_of
-from esc_agents.imitation.labels import Drive, Labels
+from esc_agents.imitation.labels import Drive, Labels, split
 from esc_agents.imitation.learning import fit, measure
 from esc_agents.imitation.settings import ImitateConfig
 from esc_agents.training import run_directory
@@ -82,7 +83,7 @@ def imitate(
             run_directory.note_command(resume)
         stop = stack.enter_context(StopOnSignal())
         say(describe(run, model, probe))
-        say(f"{config.dagger_rounds + 1} rounds of {config.labels:,} labels into {directory}")
+        say(f"{config.portions + config.dagger_rounds} rounds into {directory}")
         learning = Imitation(config, run, directory, model, wrapper_json(probe), judges, stop)
         learning.rule, learning.told = rule_summary(run, stop), told
         learning.trust = trust
@@ -113,6 +114,8 @@ def _labellers(
     """(who labels, what is labelled already). Raises UserError where there is not enough of it."""
     if (config.expert, config.data) == (None, None):
         raise UserError("expected --expert NAME, who labels, or --data DIR, of esc-collect")
+    if config.portions > 1 and not config.data:
+        raise UserError("portions: expected --data DIR, of which they are")
     if config.dagger_rounds and not config.expert:
         raise UserError("rounds: expected --expert, who labels what the learner meets")
     expert = given = None
@@ -144,11 +147,16 @@ class Imitation:
 
         given: the labels of the first round.
         """
-        for number in range(self.config.dagger_rounds + 1):
-            drives = given if given and number == 0 else self._labelled(number, envs, expert)
-            self.drives += drives
+        portions, policy = self.config.portions, self.model.policy
+        untrained = deepcopy(policy.state_dict())
+        for number in range(portions + self.config.dagger_rounds):
+            if given and number < portions:
+                self.drives = given[: -(-len(given) // 2 ** (portions - 1 - number))]
+                policy.load_state_dict(untrained)
+            else:
+                self.drives += self._labelled(number, envs, expert)
             if not self._done(number):
-                self._learned(number)
+                self._learned(number, given if number < portions and given else self.drives)
             self.told(self.model.num_timesteps)
         self._check()
         files.write_atomically(self.directory / "model.zip", self.model.save)
@@ -189,12 +197,13 @@ class Imitation:
         self.model.num_timesteps = steps
         return True
 
-    def _learned(self, number: int) -> None:
-        """Train the policy on all labels so far, and see how it drives."""
+    def _learned(self, number: int, held: list[Drive]) -> None:
+        """Train the policy on all labels so far, and see how it drives, and what it makes of those
+        that are held out of ``held``."""
         evaluation = self._evaluation = self._evaluation or self._begun()
         model = self.model
         model.num_timesteps = sum(len(drive.actions) for drive in self.drives)
-        learnt, held_out = (Labels.of(part) for part in labels.split(self.drives))
+        learnt, held_out = Labels.of(split(self.drives)[0]), Labels.of(split(held)[1])
         loss = fit(model.policy, learnt, self.config, number, self.stop)
         self._check()
         found = measure(model.policy, held_out)

@@ -43,6 +43,8 @@ class CollectConfig(Model):
     """Environments that are driven at once."""
     env_config: Mapping = Field(default_factory=dict)
     """highway-env configuration, merged into the scenario's."""
+    observation: ObservationConfig | None = None
+    """What is seen; default: the scenario's."""
 
     def train_config(self) -> TrainConfig:
         """The scenario, as runs in it have it."""
@@ -50,6 +52,7 @@ class CollectConfig(Model):
         changes = {
             "env_config": merge(base.env_config, self.env_config),
             "algo": "ppo", "n_envs": self.n_envs, "seed": self.seed,
+            "observation": self.observation or base.observation,
         }  # fmt: skip
         return base.model_copy(update=changes)
 
@@ -72,6 +75,9 @@ class ImitateConfig(Model):
     """Labels in each round, to the end of the last episode."""
     noise: Probability = 0.2
     """Share of the steps in which a random action is taken while the expert drives."""
+    portions: PositiveInt = 1
+    """Of --data: learn anew from growing parts of it, each of twice as many episodes as the one before,
+    the last one of all: how regret falls with the number of labels."""
     rounds: NonNegativeInt | None = None
     """Rounds in which the learner drives and the expert labels what it meets; default: 4, without
     an expert 0."""

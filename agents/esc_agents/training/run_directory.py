@@ -231,6 +231,12 @@ class MetricsFile:
         files.write_text(self.path, text.getvalue())
 
 
+def read_metric(directory: Path, name: str) -> list[float]:
+    """The values of a column of a run's metrics.csv, in order."""
+    with (directory / "metrics.csv").open(newline="", encoding="utf-8") as file:
+        return [float(line[name]) for line in csv.DictReader(file) if line.get(name)]
+
+
 def read_evaluations(path: Path) -> dict[str, NDArray]:
     """The arrays of an evaluations.npz, each as long as ``timesteps``. Raises UserError."""
     try:
