@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from esc_agents.cli import Trust, guarded, parse
+from esc_agents.cli import Trust, early, guarded, parse
+from esc_agents.config import config_for_env
 from esc_agents.imitation.settings import CollectConfig
 
 PROGRAM = "esc-collect"
@@ -28,7 +29,10 @@ def main() -> None:
 
 def command(args: list[str]) -> int:
     """0: done; 130: interrupted, kept."""
-    arguments = parse(PROGRAM, CollectArguments, args)
+    env = early(args, "--env").env
+    scenario = config_for_env(CollectConfig().env if env is None else env)
+    base = CollectArguments(observation=scenario.observation)
+    arguments = parse(PROGRAM, CollectArguments, args, default=base)
     config = CollectConfig(
         **{name: getattr(arguments, name) for name in CollectConfig.model_fields}
     )

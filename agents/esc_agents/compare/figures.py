@@ -49,7 +49,7 @@ def regrets(tasks: Sequence[Task]) -> Figure:
             labels = evaluated(runs)
             found = [run.curve["regret"][: len(labels)] for run in runs]
             plots.band(axes, labels, found, plots.color(repr), repr)
-        blind = np.mean([run.curve["blind_regret"][-1] for run in task.runs(task.reprs[0])])
+        blind = task.runs(task.reprs[0])[0].curve["blind_regret"][-1]
         axes.axhline(blind, color=plots.GREY, linestyle="--", linewidth=1.2, label="one action")
         axes.set_xscale("log", base=2)
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")

@@ -75,8 +75,8 @@ class CompareConfig(Model):
     """imitate: from the labels of an expert, as esc-imitate does, and not by `algo`; without
     `steps`."""
     imitate: Mapping = Field(default_factory=dict)
-    """Of --learn imitate: fields of every run, as flags of esc-imitate; the expert is planner, or labels are
-    those of `data`, in whose name {env} stands for the scenario."""
+    """Of --learn imitate: fields of every run, as flags of esc-imitate; the expert is planner, or
+    labels are those of `data`, in whose name {env} stands for the scenario."""
     seeds: Annotated[int, Field(ge=1, lt=TUNING_SEED)] = 5
     """Runs of each representation in each scenario, with seeds 0, 1, 2, ..."""
     steps: PositiveInt | None = 200_000

@@ -198,14 +198,11 @@ def _regrets(tasks: Sequence[Task]) -> Iterator[Block]:
         labels = evaluated(task.runs(task.reprs[0]))
         lines = [["", *(f"{number:,.0f} labels" for number in labels)]]
         for repr in task.reprs:
-            found = zip(
-                *(run.curve["regret"][: len(labels)] for run in task.runs(repr)), strict=True
-            )
-            lines.append(
-                [f"{task.name}: {repr}", *(interval(Estimate(*mean_interval(f))) for f in found)]
-            )
-        blind = [run.curve["blind_regret"][-1] for run in task.runs(task.reprs[0])]
-        lines.append([f"{task.name}: one action", *[""] * (len(labels) - 1), f"{blind[0]:.2f}"])
+            curves = [run.curve["regret"][: len(labels)] for run in task.runs(repr)]
+            means = [Estimate(*mean_interval(found)) for found in zip(*curves, strict=True)]
+            lines.append([f"{task.name}: {repr}", *map(interval, means)])
+        blind = task.runs(task.reprs[0])[0].curve["blind_regret"][-1]
+        lines.append([f"{task.name}: one action", *[""] * (len(labels) - 1), f"{blind:.2f}"])
         yield Rows(lines)
 
 

@@ -56,7 +56,7 @@ def write(path: Path, drives: Sequence[Drive], env: gym.Env, about: dict[str, An
     env: what they were driven in; about: further metadata, for JSON.
     """
     package = minari()
-    root = files.temporary_of(path)
+    root = files.temporary_of(path).absolute()  # Minari would take it relative to itself
     try:
         rmtree(root, ignore_errors=True)
         root.mkdir(parents=True)

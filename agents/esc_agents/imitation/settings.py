@@ -76,8 +76,8 @@ class ImitateConfig(Model):
     noise: Probability = 0.2
     """Share of the steps in which a random action is taken while the expert drives."""
     portions: PositiveInt = 1
-    """Of --data: learn anew from growing parts of it, each of twice as many episodes as the one before,
-    the last one of all: how regret falls with the number of labels."""
+    """Of --data: learn anew from growing parts of it, each of twice as many episodes as the one
+    before, the last one of all: how regret falls with the number of labels."""
     rounds: NonNegativeInt | None = None
     """Rounds in which the learner drives and the expert labels what it meets; default: 4, without
     an expert 0."""

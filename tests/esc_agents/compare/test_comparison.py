@@ -8,18 +8,22 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 from filelock import FileLock
 
 from esc_agents.compare import store
 from esc_agents.compare.comparison import choice, compare, plan
 from esc_agents.compare.grid import EPISODES, study_cells, train_config, tuning_cells
+from esc_agents.config import config_for_env
 from esc_agents.driving.checks import check
 from esc_agents.driving.episodes import evaluate, model_policy
 from esc_agents.driving.policies import load_policy
 from esc_agents.driving.vectorised import vectorise
 from esc_agents.errors import UserError
+from esc_agents.imitation.collect import collect
 from esc_agents.imitation.imitate import open_imitation
+from esc_agents.imitation.settings import CollectConfig
 from esc_agents.training.train import train
 from tests.esc_agents.compare.small import ENV, HereEngine, measured, small
 from tests.esc_agents.tiny import ROAD
@@ -212,6 +216,38 @@ def test_a_killed_comparison_goes_on(compared, tmp_path):
     subprocess.run(command, cwd=tmp_path, env=environment, check=True, stdout=subprocess.DEVNULL)
     assert first.stat().st_mtime_ns == before
     assert measured(out) == measured(compared)
+
+
+def test_learning_from_a_data_set_of_each_scenario(tmp_path, monkeypatch):
+    """Regret against the number of labels, for all of the same."""
+    monkeypatch.chdir(tmp_path)
+    changed = {"perception_distance": 200}
+    observation = config_for_env(ENV).observation.model_copy(update=changed)
+    gathered = CollectConfig(
+        env=ENV, episodes=20, env_config=ROAD, planner={"horizon": 2, "free": 1},
+        observation=observation,
+    )  # fmt: skip
+    collect(gathered, tmp_path / "data" / f"{ENV}-planner-v0")
+    config = small(
+        learn="imitate", seeds=2, transfer={}, tuning={"seeds": 0},
+        imitate={"data": "data/{env}-planner-v0", "portions": 3, "epochs": 1},
+        train={"env_config": ROAD, "observation": changed,
+               "encoder": {"hidden": (8,), "code_dim": 200}},
+    )  # fmt: skip
+    compare(config, tmp_path / "out", HereEngine())
+    runs = store.results(tmp_path / "out" / f"{ENV}-imitation")
+    labels = {tuple(run.curve["timesteps"]) for run in runs}
+    (labels,) = labels
+    report = (tmp_path / "out" / "report.md").read_text()
+    assert f"**{ENV}, imitation**, {labels[-1]:,} labels, seeds 0, 1" in report
+    header = " | ".join(f"{number:,} labels" for number in labels)
+    assert f"| {header} |" in report
+    for repr in ("esc", "fp"):
+        last = [run.curve["regret"][-1] for run in runs if run.cell.repr == repr]
+        named = [line for line in report.splitlines() if f"{ENV}, imitation: {repr} |" in line]
+        (line,) = (one for one in named if one.count("|") == len(labels) + 2)
+        assert f"{np.mean(last):.2f} [" in line.split("|")[-2]
+    assert (tmp_path / "out" / "regret.png").stat().st_size > 5000
 
 
 def test_learning_from_labels(tmp_path):

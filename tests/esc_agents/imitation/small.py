@@ -8,6 +8,7 @@ from esc_agents.imitation.settings import CollectConfig, ImitateConfig
 from tests.esc_agents.tiny import RANGES, ROAD
 
 PLANNER = {"horizon": 2, "free": 1}
+OBSERVATION = {"ranges": RANGES}
 
 
 def small(**changes: Any) -> ImitateConfig:
@@ -15,7 +16,7 @@ def small(**changes: Any) -> ImitateConfig:
     values = {
         "env": "highway-fast", "expert": "planner", "planner": PLANNER, "labels": 20, "rounds": 1,
         "epochs": 2, "batch_size": 64, "device": "cpu", "env_config": ROAD,
-        "observation": {"ranges": RANGES}, "encoder": {"hidden": (8,), "code_dim": 200}, **changes,
+        "observation": OBSERVATION, "encoder": {"hidden": (8,), "code_dim": 200}, **changes,
     }  # fmt: skip
     return ImitateConfig.model_validate(values)
 

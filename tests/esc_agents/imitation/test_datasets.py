@@ -149,6 +149,18 @@ def test_what_users_get_wrong(flags, message, call, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_relative_directory(call, tmp_path):
+    road = "{vehicles_count: 4, duration: 2}"
+    flags = ["--env", "highway-fast", "--env-config", road, "--planner.horizon", "2"]
+    code, _, err = call(
+        collect_cli, *flags, "--episodes", "2", "--out", "a/b/few-v0", "--planner.free", "1"
+    )
+    assert (code, err) == (0, "")
+    minari = pytest.importorskip("minari")
+    assert minari.MinariDataset(tmp_path / "a" / "b" / "few-v0" / "data").total_episodes == 2
+    assert [path.name for path in (tmp_path / "a" / "b").iterdir()] == ["few-v0"]
+
+
 def test_an_existing_directory(call, tmp_path):
     (tmp_path / "here-v0").mkdir()
     code, _, err = call(collect_cli, "--env", "highway-fast", "--out", "here-v0")

@@ -11,16 +11,18 @@ import torch
 
 from esc_agents.cli import eval as eval_cli, imitate as imitate_cli, train as train_cli
 from esc_agents.driving.batch import BatchVecEnv
+from esc_agents.driving.environments import make_env, wrapper_json
 from esc_agents.driving.planner_config import PlannerConfig
 from esc_agents.driving.policies import load_policy
 from esc_agents.errors import UserError
-from esc_agents.imitation import collect, imitate, labels
+from esc_agents.imitation import collect, datasets, imitate, labels
 from esc_agents.imitation.experts import expert_of
 from esc_agents.imitation.imitate import open_imitation
 from esc_agents.imitation.labels import Labels
-from esc_agents.imitation.learning import measure
+from esc_agents.imitation.learning import fit, measure
+from esc_agents.training import run_directory
 from esc_gym.planning import LookAhead
-from tests.esc_agents.imitation.small import PLANNER, gathered, small
+from tests.esc_agents.imitation.small import OBSERVATION, PLANNER, gathered, small
 from tests.esc_agents.training.test_instants import files_of
 from tests.esc_agents.training.test_resume import Killed, kill
 
@@ -34,6 +36,10 @@ def whole(tmp_path_factory):
 
 def weights(folder, name="policy"):
     return load_policy(folder, "cpu", name)[0].state_dict()
+
+
+def weights_of(policy):
+    return {name: tensor.clone() for name, tensor in policy.state_dict().items()}
 
 
 def test_rounds(whole):
@@ -65,7 +71,7 @@ def test_metrics_are_of_what_was_held_out(whole):
 
 def test_results(whole):
     rows = [row["policy"] for row in json.loads((whole / "results.json").read_text())]
-    assert (rows[0], rows[-1]) == ("esc", "IDM/MOBIL")
+    assert (rows[0], rows[-2:]) == ("esc", ["IDM/MOBIL", "planner, knows all"])
 
 
 MOMENTS = {
@@ -130,6 +136,48 @@ def test_from_a_data_set(tmp_path, call):
     code, out, err = call(imitate_cli, *flags, *rounds, "--run-dir", "more")
     assert (code, err) == (0, "")
     assert "round 1: the learner drove" in out
+
+
+def test_portions_are_learned_anew_and_judged_alike(tmp_path, monkeypatch):
+    """The last portion is what one learns from all; whoever is killed between two goes on."""
+    collect.collect(gathered(episodes=20, observation=OBSERVATION), tmp_path / "data-v0")
+    values = {"expert": None, "data": tmp_path / "data-v0", "rounds": None}
+    parts = small(**values, portions=3, run_dir=tmp_path / "parts")
+    seen = []
+    monkeypatch.setattr(
+        "esc_agents.imitation.imitate.fit",
+        lambda policy, learnt, config, seed, stop: seen.append(weights_of(policy)) or fit(
+            policy, learnt, config, 2, stop
+        ),
+    )  # fmt: skip
+    assert imitate.imitate(parts)
+    assert len(seen) == 3
+    assert all(torch.equal(seen[0][name], other[name]) for other in seen for name in seen[0])
+    drives = datasets.read(tmp_path / "data-v0", wrapper_json(make_env(parts.train_config())), 5)
+    counts = [sum(len(drive.actions) for drive in drives[:count]) for count in (5, 10, 20)]
+    found = run_directory.read_metric(tmp_path / "parts", "time/total_timesteps")
+    assert found == counts
+    held_out = Labels.of(labels.split(drives)[1])
+    regrets = run_directory.read_metric(tmp_path / "parts", "imitation/regret")
+    for number, regret in enumerate(regrets):
+        policy = load_policy(tmp_path / "parts" / "rounds", "cpu", f"{number:03d}")[0]
+        assert measure(policy, held_out).regret == pytest.approx(regret)
+    assert imitate.imitate(small(**values, run_dir=tmp_path / "whole"))
+    whole, last = weights(tmp_path / "whole"), weights(tmp_path / "parts")
+    assert all(torch.equal(whole[name], last[name]) for name in whole)
+
+
+def test_portions_killed_and_resumed(tmp_path, monkeypatch):
+    collect.collect(gathered(episodes=20, observation=OBSERVATION), tmp_path / "data-v0")
+    config = small(expert=None, data=tmp_path / "data-v0", rounds=None, portions=3)
+    assert imitate.imitate(config.model_copy(update={"run_dir": tmp_path / "whole"}))
+    kill(monkeypatch, imitate, "save_policy", 4)  # each portion's, and the best
+    run = tmp_path / "run"
+    with pytest.raises(Killed):
+        imitate.imitate(config.model_copy(update={"run_dir": run}))
+    monkeypatch.undo()
+    assert imitate.imitate(open_imitation(run), resume=run)
+    assert files_of(run) == files_of(tmp_path / "whole")
 
 
 def test_what_takes_a_run_takes_it(whole, call, tmp_path):
@@ -211,6 +259,7 @@ def test_it_begins_with_the_weights_of_another_run(whole, tmp_path, capsys):
         ("", "expected --expert NAME, who labels, or --data DIR, of esc-collect"),
         ("--expert oracle", "expert: expected planner, idm or run:DIR, got 'oracle'"),
         ("--data nowhere", "data: no data set in nowhere"),
+        ("--expert planner --portions 2", "portions: expected --data DIR, of which they are"),
         ("--data nowhere --rounds 2", "rounds: expected --expert, who labels"),
         ("--env parking --expert idm", "idm: parking-v0: expected an environment with meta-act"),
         ("--expert planner --repr max-pool", "repr: "),
