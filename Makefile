@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 TRAIN ?= --env highway-v0 --repr esc
-BENCH ?= --batch --end-to-end --out docs/speed.md --readme README.md
+BENCH ?= --batch --end-to-end --planning --out docs/speed.md --readme README.md
 WORKERS ?= 2
 
 SOAK ?= --steps 1000000 --out docs/reliability.md

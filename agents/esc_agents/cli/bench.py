@@ -33,6 +33,8 @@ class BenchArguments(BaseModel):
     """Also measure batches of 64 environments, and how their cost grows."""
     end_to_end: bool = False
     """Also measure PPO training, on highway-v0 and highway-fast-v0."""
+    planning: bool = False
+    """Also measure a planner's decisions, beside the same plans in deep copies of stock."""
     out: Path | None = None
     """Markdown file to write, such as docs/speed.md."""
     readme: Path | None = None

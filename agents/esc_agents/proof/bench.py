@@ -27,7 +27,7 @@ from esc_agents import files
 from esc_agents.config import config_for_env
 from esc_agents.driving.environments import named_version
 from esc_agents.errors import UserError, say
-from esc_agents.proof import end_to_end as training, scaling
+from esc_agents.proof import end_to_end as training, planning as plans, scaling
 from esc_agents.proof.timing import cpu, in_own_process, milliseconds, ratio
 from esc_agents.reporting.tables import markdown, show, terminal
 from esc_gym import fastsim
@@ -57,14 +57,13 @@ noise from it.)
 
 
 def benchmark(
-    envs: Sequence[str], seeds: int, seconds: float, batch: bool, end_to_end: bool,
+    envs: Sequence[str], seeds: int, seconds: float, batch: bool, end_to_end: bool, planning: bool,
     out: Path | None, readme: Path | None, command: str,
 ) -> bool:  # fmt: skip
     """Measure ``envs``, print the tables and write the files; true if all drive the same."""
     ids = check_ids(envs)
-    trained = [id for id in ids if id in END_TO_END] if end_to_end else []
-    if end_to_end and not trained:
-        raise UserError(f"--end-to-end: expected {' or '.join(END_TO_END)} among --envs")
+    trained = _among(ids, END_TO_END, "--end-to-end") if end_to_end else []
+    planned = _among(ids, plans.IDS, "--planning") if planning else []
     if readme:
         replace_block(readme, "")  # raises now rather than after minutes
     if out:
@@ -87,6 +86,10 @@ def benchmark(
         blocks.append(markdown([r for r in rows if r is scaling.COLUMNS or "-v0" in r[0]]))
         if out:
             text.append("\n" + scaling.growth_text(seconds, out, say))
+    if planned:
+        rows = [plans.COLUMNS, *(in_own_process(plans.measure, id, seconds) for id in planned)]
+        show(terminal(rows, "Planning"))
+        text += ["\n" + plans.TEXT, markdown(rows)]
     if trained:
         rows = [training.COLUMNS]
         rows += [training.measure(config_for_env(id), seconds, say) for id in trained]
@@ -101,6 +104,14 @@ def benchmark(
         files.write_text(readme, replace_block(readme, block))
         say(f"Written: {readme}")
     return not any(speed.differences for speed in speeds)
+
+
+def _among(ids: Sequence[str], wanted: Sequence[str], flag: str) -> list[str]:
+    """Those that are wanted; raises UserError for none, on behalf of ``flag``."""
+    found = [id for id in ids if id in wanted]
+    if not found:
+        raise UserError(f"{flag}: expected {' or '.join(wanted)} among --envs")
+    return found
 
 
 def check_ids(envs: Sequence[str]) -> list[str]:

@@ -12,7 +12,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from esc_agents.cli import bench as cli
 from esc_agents.errors import UserError
-from esc_agents.proof import bench, end_to_end, scaling, timing
+from esc_agents.proof import bench, end_to_end, planning, scaling, timing
 from esc_agents.proof.bench import (
     GENERATOR,
     MARKERS,
@@ -79,6 +79,22 @@ def test_training_of_both_sides(monkeypatch):
     assert min(costs) > 0
     assert sum(costs[3:]) == pytest.approx(1e6 / costs[2], rel=0.02)
     assert said[0].startswith("PPO on highway-fast-v0: ")
+
+
+def test_a_decision_of_both_sides():
+    row = planning.measure("highway-fast-v0", 0.01)
+    assert len(row) == len(planning.COLUMNS)
+    assert (row[0], row[-1]) == ("highway-fast-v0", "equal")
+    copied, alone, together, _, observed, twice = (
+        float(cell.replace(",", "").removesuffix("x")) for cell in row[1:-1]
+    )
+    assert copied > alone > together > 0
+    assert min(observed, twice) > together
+
+
+def test_a_planner_that_errs_is_told(monkeypatch):
+    monkeypatch.setattr(planning, "by_deep_copies", lambda env, plans: np.ones(len(plans)))
+    assert planning.measure("highway-fast-v0", 0.01)[-1] == "DIFFER"
 
 
 def test_row():
@@ -204,6 +220,7 @@ def test_readme_needs_the_markers_in_order(tmp_path):
     [
         (["--envs", "highway-v9"], "got 'highway-v9'; try 'highway-v0'"),
         (["--envs", "highway-v0", "--readme", "nowhere.md"], "nowhere.md: No such file"),
+        (["--envs", "exit-v0", "--planning"], "--planning: expected highway-v0 or highway-fast"),
         (["--envs", "merge-v0", "--end-to-end"], "expected highway-v0 or highway-fast-v0"),
         (["--envs"], "at least one"),
         (["--envs", "highway-v0", "--out", "."], "a file that can be written, got ."),
