@@ -56,8 +56,8 @@ def test_the_ego_sees_the_goal_as_its_features_say():
         seen = with_goal.reset(seed=seed)[0]
         for _ in range(5):
             goals = (torch.as_tensor(seen[f"{kind}_goal"]) for kind in ("achieved", "desired"))
-            # 100 m is 1 in highway-env's goals, and 1 in the ego features' default ranges.
-            np.testing.assert_allclose(goal_ahead(*goals), ego, atol=1e-6)
+            ahead = goal_ahead(*goals).numpy() * [0.2, 0.2, 1, 1]  # 20 m is 1 there
+            np.testing.assert_allclose(ahead, ego, atol=1e-6)
             action = rng.uniform(-1, 1, 2).astype(np.float32)
             ego, seen = with_features.step(action)[0]["ego"], with_goal.step(action)[0]
 
