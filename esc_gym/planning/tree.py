@@ -15,7 +15,7 @@ from esc_gym.planning.planner import MetaPlanner, Scenes
 from esc_gym.planning.rollouts import meta_actions
 from esc_gym.vector.environment import SetVectorEnv
 
-Sequence_ = tuple[int, ...]
+Plan = tuple[int, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ class TreeSearch(MetaPlanner):
         return np.array([tree.values() for tree in trees])
 
 
-def _plans(leaf: Sequence_, count: int, after: list[int], horizon: int) -> list[list[int]]:
+def _plans(leaf: Plan, count: int, after: list[int], horizon: int) -> list[list[int]]:
     """The leaf's actions, then any, then a continuation: [count * len(after), horizon]."""
     left = horizon - len(leaf) - 1
     return [[*leaf, action, *[way] * left] for action in range(count) for way in after]
@@ -81,26 +81,26 @@ class Tree:
 
     def __init__(self, count: int, horizon: int, exploration: float) -> None:
         self.count, self.horizon, self.exploration = count, horizon, exploration
-        self.best: dict[Sequence_, float] = {}
-        self.visits: Counter[Sequence_] = Counter()
-        self.closed: set[Sequence_] = set()
+        self.best: dict[Plan, float] = {}
+        self.visits: Counter[Plan] = Counter()
+        self.closed: set[Plan] = set()
 
-    def leaf(self) -> Sequence_:
+    def leaf(self) -> Plan:
         """The sequence to expand next: at each node on by UCB1, of equally good ones the first."""
         found = self.best.values()
         low, unit = min(found, default=0.0), (max(found, default=0.0) - min(found, default=0.0))
-        at: Sequence_ = ()
+        at: Plan = ()
         while self.visits[at]:
             tries = log(self.visits[at])
 
-            def score(sequence: Sequence_, tries: float = tries) -> float:
+            def score(sequence: Plan, tries: float = tries) -> float:
                 worth = (self.best[sequence] - low) / (unit or 1.0)
                 return worth + self.exploration * sqrt(tries / (1 + self.visits[sequence]))
 
             at = max((one for one in self._after(at) if one not in self.closed), key=score)
         return at
 
-    def expand(self, leaf: Sequence_, values: list[float]) -> None:
+    def expand(self, leaf: Plan, values: list[float]) -> None:
         """Note what the actions after ``leaf`` are worth."""
         self.best |= zip(self._after(leaf), values, strict=True)
         if len(leaf) + 1 == self.horizon:
@@ -116,5 +116,5 @@ class Tree:
         """Of the first actions."""
         return [self.best[one] for one in self._after(())]
 
-    def _after(self, at: Sequence_) -> list[Sequence_]:
+    def _after(self, at: Plan) -> list[Plan]:
         return [(*at, action) for action in range(self.count)]

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from copy import deepcopy
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -84,16 +84,17 @@ def imitate(
         stop = stack.enter_context(StopOnSignal())
         say(describe(run, model, probe))
         say(f"{config.portions + config.dagger_rounds} rounds into {directory}")
-        learning = Imitation(config, run, directory, model, wrapper_json(probe), judges, stop)
-        learning.rule, learning.told = rule_summary(run, stop), told
-        learning.trust = trust
+        rule = rule_summary(run, stop)
+        learning = Imitation(
+            config, run, directory, model, wrapper_json(probe), judges, stop, rule, told, trust
+        )
         try:
             learning.learn(envs, expert, given)
         except Stopped:
             pass
         else:
             policy, names = model_policy(model), action_names(probe)
-            found = results(run, policy, judges, names, learning.rule, stop)
+            found = results(run, policy, judges, names, rule, stop)
             if not stop():
                 finish(run, directory, found, f"imitation, {model.num_timesteps:,} labels")
                 return True
@@ -127,20 +128,26 @@ def _labellers(
     return expert, given
 
 
+@dataclass
 class Imitation:
-    """The rounds of a run; those that an earlier session has finished are taken from the disk."""
+    """The rounds of a run; those that an earlier session has finished are taken from the disk.
 
-    def __init__(
-        self, config: ImitateConfig, run: TrainConfig, directory: Path, model: Any,
-        observation: dict[str, Any], judges: VecEnv, stop: StopOnSignal,
-    ) -> None:  # fmt: skip
-        self.config, self.run, self.directory, self.model = config, run, directory, model
-        self.observation, self.judges, self.stop = observation, judges, stop
-        self.rule: Summary | None = None
-        self.told: Callable[[int], object] = lambda labels: None
-        self.trust = False
-        self.drives: list[Drive] = []
-        self._evaluation: FixedSeedEvaluation | None = None
+    observation: of ``wrapper_json``. judges: environments for evaluation. rule: how IDM/MOBIL drive
+    there. told, trust: as of ``imitate``.
+    """
+
+    config: ImitateConfig
+    run: TrainConfig
+    directory: Path
+    model: Any
+    observation: dict[str, Any]
+    judges: VecEnv
+    stop: StopOnSignal
+    rule: Summary | None
+    told: Callable[[int], object]
+    trust: bool
+    drives: list[Drive] = field(default_factory=list)
+    _evaluation: FixedSeedEvaluation | None = None
 
     def learn(self, envs: BatchVecEnv, expert: Expert | None, given: list[Drive] | None) -> None:
         """Do all rounds, and write the policy; raises Stopped where a signal ends it early.
