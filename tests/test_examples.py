@@ -14,6 +14,7 @@ SMALL = {
     "accelerate.py": [],
     "wrap_an_env.py": [],
     "extractor_in_sb3.py": ["64"],
+    "look_ahead.py": [],
     "train_sac.py": ["32", "run"],
     "new_representation.py": ["128", "run"],
 }
