@@ -71,6 +71,11 @@ class Task:
         return self.settings["algo"] == IMITATION
 
     @property
+    def in_portions(self) -> bool:
+        """Whether they did so anew from growing portions of them, the same for all."""
+        return self.imitated and self.settings["imitate"].get("portions", 1) > 1
+
+    @property
     def floor(self) -> tuple[str, Summary]:
         """The blind policy of highest mean return."""
         return max(self.baselines.blind.items(), key=lambda item: item[1].reward)

@@ -180,8 +180,8 @@ def learning(tasks: Sequence[Task]) -> Iterator[Block]:
     )
     alt = "Return over training steps of each representation, by scenario"
     yield picture("curves", figures.curves(tasks), alt)
-    if imitated := [task for task in tasks if task.imitated]:
-        yield from _regrets(imitated)
+    if in_portions := [task for task in tasks if task.in_portions]:
+        yield from _regrets(in_portions)
 
 
 def _regrets(tasks: Sequence[Task]) -> Iterator[Block]:

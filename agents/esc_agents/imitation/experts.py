@@ -32,6 +32,8 @@ def expert_of(
     another name, and where an expert cannot drive.
     """
     if name == "planner":
+        if look_ahead.milliseconds is not None:
+            raise UserError("--planner.milliseconds: labels must not depend on the machine")
         planner = make_planner(look_ahead, config, trust, **defaults)
         if not isinstance(planner, MetaPlanner):
             raise UserError(f"planner: {config.env}: expected meta-actions, whose values it says")

@@ -137,6 +137,7 @@ def test_data_of_others(made, observation, tmp_path):
         ("--env parking --expert idm", "idm: parking-v0: expected an environment with meta-act"),
         ("--env parking", "planner: parking-v0: expected meta-actions, whose values it says"),
         ("--out labels", "out: expected a name that ends with a version, as -v0, got 'labels'"),
+        ("--planner.milliseconds 5", "--planner.milliseconds: labels must not depend on the ma"),
         ("--planner.free 11", "--planner.free: expected at most the horizon, 10, got 11"),
         ("--episodes 0", "episodes Input should be greater than 0 (got 0)"),
     ],
