@@ -38,7 +38,7 @@ def test_shipped_scenarios_load(name):
 def test_every_yaml_below_train_is_a_scenario():
     expected = {
         "highway", "highway-fast", "exit", "intersection", "merge", "roundabout", "two-way",
-        "u-turn", "racetrack", "parking", "lane-keeping",
+        "u-turn", "racetrack", "parking", "parking-goal", "lane-keeping",
         "highway-dense", "intersection-dense", "merge-dense",
     }  # fmt: skip
     assert set(scenarios()) == expected
