@@ -189,8 +189,8 @@ def _regrets(tasks: Sequence[Task]) -> Iterator[Block]:
     yield Text(
         "Regret: on states that were held out, what the best action is worth to the expert, less "
         "what the action chosen is, in units of the return; mean over runs, with 95 % intervals "
-        "over runs (Student's t). Each number of labels was learned from anew, with as many passes: "
-        "a few labels make few updates. One action: the one that is best on average."
+        "over runs (Student's t). Each number of labels was learned from anew, with as many "
+        "passes: a few labels make few updates. One action: the one that is best on average."
     )
     alt = "Held-out regret over the number of labels of each representation, by scenario"
     yield picture("regret", figures.regrets(tasks), alt)
