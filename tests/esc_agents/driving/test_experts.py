@@ -62,3 +62,11 @@ def test_films_and_results(call, tmp_path):
         with Image.open(tmp_path / expert / "seed-2000000.gif") as image:
             assert np.asarray(image.convert("RGB")).std() > 0
             assert image.n_frames >= 3
+
+
+def test_the_planner_in_the_table_of_a_run(ppo_run):
+    """On the run's own episodes, as a batch of one drives them here."""
+    (episode,) = drive(LookAhead(free=1), tiny(), [tiny().evaluation.seed])
+    rows = {row["policy"]: row for row in json.loads((ppo_run / "results.json").read_text())}
+    found = rows["planner, knows all"]
+    assert (found["reward"], found["length"]) == (episode.reward, episode.length)

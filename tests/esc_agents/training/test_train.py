@@ -17,7 +17,6 @@ from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import make_env
 from esc_agents.driving.episodes import Episode
-from esc_agents.driving.experts import drive
 from esc_agents.driving.policies import load_policy
 from esc_agents.driving.rule_driver import RuleDriver
 from esc_agents.driving.vectorised import vectorise
@@ -27,7 +26,6 @@ from esc_agents.training.models import ALGORITHMS, load_model, new_model
 from esc_agents.training.run_directory import STEP
 from esc_agents.training.train import train
 from esc_gym.fastsim import Report
-from esc_gym.planning import LookAhead
 from tests.esc_agents.tiny import PPO as PPO_SETTINGS, SAC as SAC_SETTINGS, SAC_RUN, tiny
 
 DRIVING = {
@@ -175,14 +173,6 @@ def test_the_rule_driver_drives_the_same_episodes(ppo_run):
     rows = {row["policy"]: row for row in json.loads((ppo_run / "results.json").read_text())}
     assert rows["IDM/MOBIL"]["reward"] == pytest.approx(sum(rewards))
     assert rows["IDM/MOBIL"]["length"] == len(rewards)
-
-
-def test_the_planner_drives_the_same_episodes(ppo_run):
-    """As a batch of one drives them here."""
-    (episode,) = drive(LookAhead(free=1), tiny(), [tiny().evaluation.seed])
-    rows = {row["policy"]: row for row in json.loads((ppo_run / "results.json").read_text())}
-    found = rows["planner, knows all"]
-    assert (found["reward"], found["length"]) == (episode.reward, episode.length)
 
 
 def test_a_rule_driver_that_cannot_drive_costs_its_row_only(tmp_path, monkeypatch, capsys):
