@@ -60,7 +60,7 @@ class CrossEntropy(Planner):
         middle = np.broadcast_to((low + high) / 2, (count, held, *space.shape)).astype(float)
         around = np.broadcast_to(self.spread * (high - low) / 2, middle.shape).astype(float)
         everyone = np.arange(count)
-        done, worth = middle[:, 0], np.full(count, -np.inf)
+        done, worth = middle[:, 0].copy(), np.full(count, -np.inf)
         for _ in range(self.iterations):
             noise = [drawn.normal(size=(self.samples, *middle.shape[1:])) for drawn in generators]
             tried = middle[:, None] + around[:, None] * np.array(noise)
@@ -71,16 +71,11 @@ class CrossEntropy(Planner):
             order = np.argsort(-returns, axis=1, kind="stable")
             chosen = tried[everyone[:, None], order[:, : self.elites]]
             middle, around = chosen.mean(axis=1, dtype=float), chosen.std(axis=1, dtype=float)
-            first = order[:, 0]
-            better = returns[everyone, first] > worth
-            done = np.where(_like(better, done), tried[everyone, first, 0], done)
-            worth = np.where(better, returns[everyone, first], worth)
+            best = returns.max(axis=1)
+            better = best > worth
+            done[better] = chosen[better, 0, 0]
+            worth = np.maximum(worth, best)
         return done.astype(space.dtype)  # type: ignore[arg-type]
-
-
-def _like(flags: NDArray, array: NDArray) -> NDArray:
-    """``flags`` [K] so that they broadcast with [K, ...]."""
-    return flags.reshape(-1, *[1] * (array.ndim - 1))
 
 
 def _box(envs: SetVectorEnv) -> gym.spaces.Box:
