@@ -70,7 +70,7 @@ def differences(task: Task) -> Iterator[str]:
 def _comparable(config: dict[str, Any], algo: str) -> dict[str, Any]:
     """A training configuration without what belongs to one run, was tuned, or is not used."""
     unused = {"ppo": {"sac", "continuous"}, "sac": {"ppo"}, IMITATION: {"ppo", "sac", "continuous"}}
-    own = {"repr", "seed", "run_dir"} | unused[algo]
+    own = {"repr", "seed", "run_dir", "start_from"} | unused[algo]
     kept = {key: value for key, value in config.items() if key not in own}
     if algo in kept:
         kept[algo] = {k: v for k, v in kept[algo].items() if k != "learning_rate"}

@@ -35,7 +35,6 @@ TUNING_EPISODES = 3_000_000  # seed of the first episode on which tuning runs ar
 EPISODES = 2_000_000  # seed of the first episode on which final policies are judged
 
 IMITATION = "imitation"
-SCENARIO = "{env}"  # in the name of a data set
 LEARNED_FROM = ("observation", "encoder", "env_config")
 """Fields of a training run that imitation has, too."""
 OWN = {"env", "repr", "algo", "steps", "seed", "run_dir"}
@@ -76,7 +75,8 @@ class CompareConfig(Model):
     `steps`."""
     imitate: Mapping = Field(default_factory=dict)
     """Of --learn imitate: fields of every run, as flags of esc-imitate; the expert is planner, or
-    labels are those of `data`, in whose name {env} stands for the scenario."""
+    labels are those of `data`. {env}, {repr} and {seed} stand for a run's own, as in `data`,
+    `start_from` and `planner.policy`."""
     seeds: Annotated[int, Field(ge=1, lt=TUNING_SEED)] = 5
     """Runs of each representation in each scenario, with seeds 0, 1, 2, ..."""
     steps: PositiveInt | None = 200_000
@@ -92,7 +92,8 @@ class CompareConfig(Model):
     transfer_seeds: NonNegativeInt = 1
     """Runs of each representation trained in each such traffic."""
     train: Mapping = Field(default_factory=dict)
-    """Further fields of every training run, as in its YAML."""
+    """Further fields of every training run, as in its YAML; in `start_from`, {env}, {repr} and
+    {seed} stand for the run's own."""
 
     @field_validator("env", "repr")
     @classmethod
@@ -202,6 +203,7 @@ def train_config(config: CompareConfig, cell: Cell, slots: int) -> TrainConfig:
         arguments.setdefault("slots", slots)
     rate = base.hyperparameters.learning_rate * cell.candidate.learning_rate
     changes = {
+        "start_from": _filled(base.start_from, cell),
         "repr": cell.repr,
         "algo": config.algo,
         "seed": cell.seed,
@@ -231,10 +233,8 @@ def imitate_config(config: CompareConfig, cell: Cell, slots: int) -> ImitateConf
     own["env_config"] = run.env_config
     if taken := sorted(own.keys() & config.imitate.keys()):
         raise UserError(f"imitate: {', '.join(taken)}: set by the comparison itself; leave it out")
-    given: Any = config.imitate
-    if data := given.get("data"):
-        given = {**given, "data": str(data).replace(SCENARIO, cell.env)}
-    else:
+    given = _filled(config.imitate, cell)
+    if "data" not in given:
         given = {"expert": "planner", **given}
     try:
         given = ImitateConfig.model_validate({**given, **own})
@@ -242,6 +242,16 @@ def imitate_config(config: CompareConfig, cell: Cell, slots: int) -> ImitateConf
         raise UserError(f"imitate: {explain(error, ImitateConfig)}") from error
     rate = given.learning_rate * cell.candidate.learning_rate
     return given.model_copy(update={"learning_rate": rate})
+
+
+def _filled(value: Any, cell: Cell) -> Any:
+    """``value``, in whose strings {env}, {repr} and {seed} stand for those of ``cell``."""
+    if isinstance(value, dict):
+        return {name: _filled(one, cell) for name, one in value.items()}
+    if isinstance(value, str):
+        for name in ("env", "repr", "seed"):
+            value = value.replace(f"{{{name}}}", str(getattr(cell, name)))
+    return value
 
 
 def run_config(config: CompareConfig, cell: Cell, slots: int) -> TrainConfig:

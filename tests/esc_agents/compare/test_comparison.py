@@ -274,6 +274,12 @@ def test_learning_from_labels(tmp_path):
     store.path_of(tmp_path, found["esc"].cell).unlink()
     compare(config, tmp_path, again := HereEngine())
     assert again.names == [f"{task}/esc-s0"]
+    before = f"{tmp_path}/{{env}}-imitation/runs/{{repr}}-s{{seed}}"
+    then = small(seeds=1, transfer={}, tuning={"seeds": 0}, repr=("fp",))
+    then.train.update(start_from=before, ppo={**then.train["ppo"], "net_arch": (64, 64)})
+    compare(then, tmp_path / "then", HereEngine())
+    log = (tmp_path / "then" / f"{ENV}-ppo" / "runs" / "fp-s0.log").read_text()
+    assert f"Beginning with the weights of {tmp_path}/{task}/runs/fp-s0, of " in log
     with pytest.raises(UserError, match="expected nothing but observation, encoder, env_config"):
         compare(small(learn="imitate"), tmp_path / "other", HereEngine())
     for wrong, message in [

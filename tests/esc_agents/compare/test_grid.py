@@ -6,6 +6,7 @@ from esc_agents.compare.grid import (
     CompareConfig,
     candidates,
     check_transfer,
+    imitate_config,
     scenario,
     study_cells,
     train_config,
@@ -59,6 +60,15 @@ def test_representations_differ_in_nothing_but_themselves():
     assert runs[0] == runs[1] == runs[2] == runs[3]
     assert runs[0]["ppo"]["learning_rate"] == 2 * scenario(config, ENV).ppo.learning_rate
     assert runs[0]["seed"] == 1
+
+
+def test_runs_go_on_from_those_of_another_comparison():
+    before = "before/{env}-ppo/runs/{repr}-s{seed}"
+    cell, own = Cell(ENV, "ppo", "fp", 3), f"before/{ENV}-ppo/runs/fp-s3"
+    assert train_config(small(train={"start_from": before}), cell, 20).start_from == own
+    imitated = {"start_from": before, "planner": {"policy": before, "horizon": 5}}
+    run = imitate_config(small(learn="imitate", imitate=imitated, train={}), cell, 20)
+    assert (run.start_from, run.planner.policy, run.planner.horizon) == (own, own, 5)
 
 
 def test_tuning_is_shorter_by_default():
