@@ -129,10 +129,13 @@ def note_config(folder: Path, config: TrainConfig, path: Path) -> None:
 
 
 def note_command(path: Path) -> None:
-    """Add the command of this process to command.txt."""
+    """Add the command of this process to command.txt, as it can be given again."""
+    module = getattr(getattr(sys.modules["__main__"], "__spec__", None), "name", "")
+    ours = module.startswith("esc_agents.")  # python -m, where argv names a file
+    program = ["python", "-m", module] if ours else [Path(sys.argv[0]).name]
     commands = path / "command.txt"
     before = commands.read_text(encoding="utf-8") if commands.is_file() else ""
-    files.write_text(commands, before + shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) + "\n")
+    files.write_text(commands, before + shlex.join([*program, *sys.argv[1:]]) + "\n")
 
 
 def commands(path: Path) -> list[str]:

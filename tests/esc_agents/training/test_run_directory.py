@@ -2,6 +2,8 @@ import csv
 import json
 import os
 import platform
+import sys
+from importlib.machinery import ModuleSpec
 
 import pytest
 
@@ -83,6 +85,12 @@ def test_a_new_run_directory(tmp_path, monkeypatch):
     path = run_directory.create(tmp_path / "deep" / "run", config, {"max_vehicles": 6}, "abacus")
     assert load_config(path / "config.yaml") == config == run_directory.open_run(path)
     assert (path / "command.txt").read_text() == "esc-train --env-config '{lanes_count: 2}'\n"
+    started = ModuleSpec("esc_agents.cli.train", None)  # as python -m has it
+    monkeypatch.setattr(sys.modules["__main__"], "__spec__", started)
+    monkeypatch.setattr("sys.argv", ["/here/train.py", "--repr", "esc"])
+    run_directory.note_command(path)
+    last = (path / "command.txt").read_text().splitlines()[-1]
+    assert last == "python -m esc_agents.cli.train --repr esc"
     versions = json.loads((path / "versions.json").read_text())
     assert versions["python"] == platform.python_version()
     assert versions["device"] == "abacus"
