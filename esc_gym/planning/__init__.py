@@ -19,9 +19,10 @@ from esc_gym.planning.lookahead import LookAhead
 from esc_gym.planning.planner import Knowledge, MetaPlanner, Planner
 from esc_gym.planning.rollouts import OWN, best, meta_actions, rollouts
 from esc_gym.planning.rules import idm_actions
+from esc_gym.planning.survival import survivable
 from esc_gym.planning.tree import TreeSearch
 
 __all__ = [
     "OWN", "CrossEntropy", "Knowledge", "LookAhead", "MetaPlanner", "Planner", "TreeSearch", "best",
-    "guess", "idm_actions", "meta_actions", "rollouts",
+    "guess", "idm_actions", "meta_actions", "rollouts", "survivable",
 ]  # fmt: skip

@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
 
 from esc_agents import files
 from esc_agents.config import TrainConfig
+from esc_agents.driving.batch import BatchVecEnv
 from esc_agents.driving.checks import check
 from esc_agents.driving.environments import make_env
 from esc_agents.driving.episodes import Episode, Policy, Summary, evaluate, return_of, table
-from esc_agents.driving.vectorised import closing, vectorise
+from esc_agents.driving.vectorised import closing, unknown_to_engine, vectorise
 from esc_agents.errors import say
 from esc_agents.reporting.tables import markdown
+from esc_gym.planning import survivable
 
 
 def blind_policies(
@@ -114,6 +116,25 @@ def rule_driver(
         return evaluate(envs, lambda observations: ignored, seeds, stop)
 
 
+LOST = (
+    "In {} of these {} episodes the ego crashes whatever it does, as far as is known: among all "
+    "sequences of meta-actions, of which no more than 3,000 are followed at a time, none was found "
+    "that ends without a crash (`esc_gym.planning.survivable`)."
+)
+
+
+def lost(config: TrainConfig, episodes: int) -> int:
+    """In how many episodes no way was found that ends without a crash."""
+    with closing(BatchVecEnv(config, 1, evaluation=True)) as envs:
+        found, scene = 0, cast(BatchVecEnv, envs).envs
+        for seed in range(config.evaluation.seed, config.evaluation.seed + episodes):
+            envs.env_method("set_seeds", [seed], indices=0)
+            envs.reset()
+            # Few are mostly enough to find one that is alive.
+            found += not (survivable(scene, 0, scenes=100) or survivable(scene, 0))
+        return found
+
+
 def write_floors(configs: Mapping[str, TrainConfig], episodes: int, seed: int, out: Path) -> None:
     """Measure the blind policies of scenarios, by name, and write a Markdown page of tables."""
     text = [
@@ -128,6 +149,9 @@ def write_floors(configs: Mapping[str, TrainConfig], episodes: int, seed: int, o
     for name, config in configs.items():
         say(f"{name} ...")
         text += ["", f"## {name}", "", markdown(table(floors(config, episodes)))]
+        meta = isinstance(check(config).action_space, gym.spaces.Discrete)
+        if meta and not unknown_to_engine(config):
+            text += ["", LOST.format(lost(config, episodes), episodes)]
     out.parent.mkdir(parents=True, exist_ok=True)
     files.write_text(out, "\n".join(text) + "\n")
     say(f"Written: {out}")

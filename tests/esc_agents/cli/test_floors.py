@@ -17,6 +17,7 @@ def test_every_blind_policy_stands_in_the_table(tmp_path, monkeypatch, capsys):
     assert [row[0] for row in rows] == [*(f"| always {name}" for name in actions), "| random"]
     lane_changes = {row[0]: float(row[5]) for row in rows}
     assert lane_changes["| always IDLE"] == 0.0
+    assert "In 0 of these 2 episodes the ego crashes whatever it does" in text
 
 
 def test_unknown_scenario(call):
