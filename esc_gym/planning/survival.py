@@ -15,19 +15,18 @@ def survivable(envs: SetVectorEnv, index: int, scenes: int = 3000, seed: int = 0
     Every step, all scenes that are left are followed by every meta-action, in copies with the
     simulator's whole state, and of more than ``scenes`` of them that many are kept, drawn at random
     by ``seed``. True is proven. False is where all were lost: without a limit a proof, with it a
-    strong hint. ``envs`` is left as it is. Raises ValueError where there are no meta-actions, or
-    the episode has ended.
+    strong hint. ``envs`` is left as it is. Raises ValueError where there are no meta-actions, the
+    episode has ended, or the batch engine does not simulate it (``envs.report()``).
     """
     count, generator = len(meta_actions(envs)), np.random.default_rng(seed)
-    if envs.engine.state.heads["over"][index] != RUNNING:
+    now, left = copies(envs, [index]), np.array([0])
+    if now.engine.state.heads["over"][0] != RUNNING:
         raise ValueError(f"environment {index}: its episode has ended")
-    now, left = envs, np.array([index])
     while len(left):
         after = np.stack(np.meshgrid(left, np.arange(count), indexing="ij"), axis=-1).reshape(-1, 2)
         kept = np.sort(generator.permutation(len(after))[:scenes])
         driven = copies(now, after[kept, 0])
-        if now is not envs:
-            now.close()
+        now.close()
         now = driven
         _, _, terminated, truncated = now.advance(after[kept, 1])
         crashed = terminated & now.engine.now.told.crashed
