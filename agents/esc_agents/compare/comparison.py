@@ -21,6 +21,7 @@ from esc_agents.compare.grid import (
     imitate_config,
     run_config,
     scenario,
+    sources,
     study_cells,
     train_config,
     tuning_cells,
@@ -30,8 +31,10 @@ from esc_agents.compare.progress import run_jobs
 from esc_agents.compare.report import write_report
 from esc_agents.driving.checks import check
 from esc_agents.errors import UserError, say
+from esc_agents.imitation import datasets
+from esc_agents.pretrained import run_of
 from esc_agents.reporting.tables import show, terminal
-from esc_agents.training.run_directory import locked, note_command
+from esc_agents.training.run_directory import finished, locked, note_command
 from esc_gym.encoders import APEncoder, representation
 
 
@@ -62,6 +65,8 @@ class Plan:
 def plan(config: CompareConfig, trust: bool = False) -> Plan:
     """Looks at everything that a user can get wrong. Raises UserError."""
     check_transfer(config)
+    if config.imitate and config.learn != "imitate":
+        raise UserError("imitate: expected --learn imitate beside it")
     vehicles = {}
     for env in config.env:
         for traffic in config.transfer.get(env, {}):
@@ -74,6 +79,19 @@ def plan(config: CompareConfig, trust: bool = False) -> Plan:
                 imitate_config(config, Cell(env, config.way, repr, 0), vehicles[env])
     slots = {env: min(config.slots or n, n) for env, n in vehicles.items()}
     return Plan(config, vehicles, slots, tuning_cells(config), study_cells(config), trust)
+
+
+def check_sources(planned: Plan, out: Path) -> None:
+    """Raises UserError where what a run that is still to be done begins with is not there."""
+    config = planned.config
+    for cell in unfinished([*planned.tuning, *planned.study], out, planned.trust):
+        slots = planned.slots[cell.env]
+        if config.learn == "imitate" and (data := imitate_config(config, cell, slots).data):
+            datasets.check_there(data)
+        for source in sources(config, cell, slots):
+            if not finished(run_of(source)):
+                why = "; tuning has seeds of its own: leave it out, tuning.seeds 0" * cell.tuning
+                raise UserError(f"{cell.name}: expected a finished run in {source}{why}")
 
 
 def compare(config: CompareConfig, out: Path, engine: Engine, trust: bool = False) -> None:
@@ -90,6 +108,7 @@ def compare(config: CompareConfig, out: Path, engine: Engine, trust: bool = Fals
 
 def _compare(planned: Plan, out: Path, engine: Engine) -> None:
     config, trust = planned.config, planned.trust
+    check_sources(planned, out)
     for env in config.env:
         store.begin_task(out, config, env, trust)
     note_command(out)
@@ -131,6 +150,7 @@ def dry_run(config: CompareConfig, out: Path, workers: int, trust: bool = False)
     """Print the grid, and what it will take on this machine. trust: as of ``Plan``."""
     store.check_folder(out)
     planned = plan(config, trust)
+    check_sources(planned, out)
     rows = [["", "N", "Z", "tuning runs", "runs", "finished", "steps each"]]
     for env, repr in product(config.env, config.repr):
         tuning, study = (

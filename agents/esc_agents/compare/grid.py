@@ -261,6 +261,14 @@ def run_config(config: CompareConfig, cell: Cell, slots: int) -> TrainConfig:
     return train_config(config, cell, slots)
 
 
+def sources(config: CompareConfig, cell: Cell, slots: int) -> list[str]:
+    """The runs that a run goes on from, or whose policies its planner tries. slots: as above."""
+    found = [run_config(config, cell, slots).start_from]
+    if config.learn == "imitate":
+        found.append(imitate_config(config, cell, slots).planner.policy)
+    return [source for source in found if source]
+
+
 def scenario(config: CompareConfig, env: str, traffic: str = "") -> TrainConfig:
     """A scenario with the comparison's algorithm and ``train``, in its own or other traffic."""
     if own := sorted(OWN & config.train.keys()):

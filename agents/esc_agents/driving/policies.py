@@ -186,7 +186,15 @@ def _run(source: str, trust: bool) -> tuple[Path, PolicyDescription, dict[str, T
     folder = pretrained.run_of(source)
     if not folder.is_dir():
         raise UserError(f"{folder} is no run directory: expected policy.json in it")
-    name = "policy" if (folder / DESCRIPTION).exists() else "best_policy"
+    name = next(
+        (name for name in ("policy", "best_policy") if (folder / f"{name}.json").exists()), None
+    )
+    if name is None:
+        raise UserError(
+            f"{folder} holds no policy yet: expected a run that is finished, or evaluated"
+        )
+    if name != "policy":
+        say(f"{folder} is not finished: its best policy so far is taken")
     return folder, *_read(folder, name, trust)
 
 

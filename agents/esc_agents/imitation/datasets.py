@@ -19,8 +19,10 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import yaml
 
 from esc_agents import files
+from esc_agents.config import TrainConfig
 from esc_agents.driving.environments import other_meaning
 from esc_agents.errors import UserError
 from esc_agents.imitation.labels import Drive
@@ -80,16 +82,24 @@ def write(path: Path, drives: Sequence[Drive], env: gym.Env, about: dict[str, An
         rmtree(root, ignore_errors=True)
 
 
-def read(path: Path, observation: dict[str, Any], actions: int) -> list[Drive]:
+def check_there(path: Path) -> None:
+    """Raises UserError where a directory holds no data set."""
+    if not (path / "data" / "metadata.json").is_file():
+        raise UserError(f"data: no data set in {path}: expected data/metadata.json in it")
+
+
+def read(
+    path: Path, observation: dict[str, Any], actions: int, run: TrainConfig | None = None
+) -> list[Drive]:
     """The episodes of a data set.
 
     observation: what ``wrapper_json`` says of those who are to learn from it; actions: how many
-    they have. Raises UserError where the data are damaged, or are of others.
+    they have; run: the scenario that they learn to drive in. Raises UserError where the data are
+    damaged, too few to hold any out, or are of others.
     """
     package = minari()
+    check_there(path)
     folder = path / "data"
-    if not (folder / "metadata.json").is_file():
-        raise UserError(f"data: no data set in {path}: expected data/metadata.json in it")
     verify(folder, "metadata.json", "main_data.hdf5")
     try:
         found = package.MinariDataset(folder)
@@ -111,7 +121,22 @@ def read(path: Path, observation: dict[str, Any], actions: int) -> list[Drive]:
         raise UserError(
             f"data {path}: expected labels of {actions} actions, got {about['actions']}"
         )
+    if run:
+        _check_scenario(path, run.model_dump(mode="json"), yaml.safe_load(about["run"]))
+    if len(drives) < 2:
+        raise UserError(f"data {path}: expected 2 episodes or more, of which some are held out")
     return drives
+
+
+def _check_scenario(path: Path, asked: dict[str, Any], found: dict[str, Any]) -> None:
+    """Raises UserError where ``found``, the configuration of labels, is of another scenario."""
+    if found["env"] != asked["env"]:
+        raise UserError(f"data {path}: expected labels of {asked['env']}, got {found['env']}'s")
+    own, other = asked["env_config"], found["env_config"]
+    keys = sorted(key for key in {**own, **other} if own.get(key) != other.get(key))
+    if keys:
+        what = ", ".join(f"{key}={other.get(key)!r}" for key in keys)
+        raise UserError(f"data {path}: expected labels of the same env_config, got {what}")
 
 
 def _buffer(package: Any, drive: Drive) -> Any:

@@ -39,7 +39,9 @@ def expert_of(
             raise UserError(f"planner: {config.env}: expected meta-actions, whose values it says")
         return lambda envs, observations, chosen: planner.values(envs.envs, chosen)
     if name != "idm" and not name.startswith(RUN):
-        raise UserError(f"expert: expected planner, idm or {RUN}DIR, got {name!r}")
+        raise UserError(f"expert: expected planner, idm, {RUN}DIR or {RUN}zoo:NAME, got {name!r}")
+    if look_ahead != PlannerConfig():
+        raise UserError(f"--planner: expected --expert planner beside it, got --expert {name}")
     with copyable(name, config) as envs, named(name, config):
         count = len(meta_actions(envs))
         if name == "idm":

@@ -83,7 +83,8 @@ def imitate(
             run_directory.note_command(resume)
         stop = stack.enter_context(StopOnSignal())
         say(describe(run, model, probe))
-        say(f"{config.portions + config.dagger_rounds} rounds into {directory}")
+        rounds = config.portions + config.dagger_rounds
+        say(f"{rounds} round{'s' * (rounds > 1)} into {directory}")
         rule = rule_summary(run, stop)
         learning = Imitation(
             config, run, directory, model, wrapper_json(probe), judges, stop, rule, told, trust
@@ -124,7 +125,7 @@ def _labellers(
         expert = expert_of(config.expert, config.planner, run, trust, free=1)
     if config.data:
         count = int(getattr(probe.action_space, "n", 0))
-        given = datasets.read(config.data, wrapper_json(probe), count)
+        given = datasets.read(config.data, wrapper_json(probe), count, run)
     return expert, given
 
 
@@ -183,7 +184,8 @@ class Imitation:
         generator = np.random.default_rng([config.seed, number])
         first = int(generator.integers(10**7, 2**31))  # no evaluation has such seeds
         drives: list[Drive] = []
-        while sum(len(drive.actions) for drive in drives) < config.labels:
+        # Two at least, since one is held out.
+        while len(drives) < 2 or sum(len(drive.actions) for drive in drives) < config.labels:
             chosen = range(first + len(drives), first + len(drives) + envs.num_envs)
             drives += labels.collect(envs, chosen, expert, driver, noise, generator, self.stop)
             self._check()
@@ -210,7 +212,9 @@ class Imitation:
         evaluation = self._evaluation = self._evaluation or self._begun()
         model = self.model
         model.num_timesteps = sum(len(drive.actions) for drive in self.drives)
-        learnt, held_out = Labels.of(split(self.drives)[0]), Labels.of(split(held)[1])
+        apart = split(held)[1]
+        learnt = Labels.of([drive for drive in self.drives if not any(d is drive for d in apart)])
+        held_out = Labels.of(apart)
         loss = fit(model.policy, learnt, self.config, number, self.stop)
         self._check()
         found = measure(model.policy, held_out)

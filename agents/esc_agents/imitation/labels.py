@@ -57,9 +57,16 @@ class Labels:
 
 
 def split(drives: Sequence[Drive]) -> tuple[list[Drive], list[Drive]]:
-    """(to learn from, held out): whole episodes, since steps of one resemble each other."""
-    held = [drive for i, drive in enumerate(drives) if i % HELD_OUT == HELD_OUT - 1]
-    return [drive for i, drive in enumerate(drives) if i % HELD_OUT != HELD_OUT - 1], held
+    """(to learn from, held out): whole episodes, since steps of one resemble each other.
+
+    Every tenth is held out, and of fewer than ten the last one.
+    """
+    every = min(HELD_OUT, len(drives))
+    held = [i % every == every - 1 for i in range(len(drives))]
+    return (
+        [drive for drive, out in zip(drives, held, strict=True) if not out],
+        [drive for drive, out in zip(drives, held, strict=True) if out],
+    )
 
 
 def collect(

@@ -13,7 +13,7 @@ import pytest
 from filelock import FileLock
 
 from esc_agents.compare import store
-from esc_agents.compare.comparison import choice, compare, plan
+from esc_agents.compare.comparison import choice, compare, dry_run, plan
 from esc_agents.compare.grid import EPISODES, study_cells, train_config, tuning_cells
 from esc_agents.config import config_for_env
 from esc_agents.driving.checks import check
@@ -290,3 +290,37 @@ def test_learning_from_labels(tmp_path):
         asked = small(**{"learn": "imitate", "train": train, "transfer": {}, **wrong})
         with pytest.raises(UserError, match=message):
             compare(asked, tmp_path / "other", HereEngine())
+
+
+LABELLED = {"env_config": ROAD}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"train": {"start_from": "no/{repr}-s{seed}"}},
+            "fp-s0: expected a finished run in no/fp-s0$",
+        ),
+        (
+            {"train": {"start_from": "no/s{seed}"}, "tuning": {}},
+            "s1000: expected a finished run in no/s1000; tuning has seeds of its own",
+        ),
+        (
+            {"learn": "imitate", "train": LABELLED, "imitate": {"planner": {"policy": "no/{env}"}}},
+            f"fp-s0: expected a finished run in no/{ENV}$",
+        ),
+        (
+            {"learn": "imitate", "train": LABELLED, "imitate": {"data": "no-v0"}},
+            "no data set in no-v0",
+        ),
+        ({"imitate": {"labels": 3}}, "imitate: expected --learn imitate beside it"),
+    ],
+)
+def test_what_runs_begin_with_is_looked_for_before_anything_is_done(changes, message, tmp_path):
+    asked = {"seeds": 1, "transfer": {}, "tuning": {"seeds": 0}, "repr": ("fp",), **changes}
+    with pytest.raises(UserError, match=message):
+        compare(small(**asked), tmp_path, HereEngine())
+    with pytest.raises(UserError, match=message):
+        dry_run(small(**asked), tmp_path, workers=1)
+    assert not [path for path in tmp_path.rglob("*") if path.name != ".lock"]

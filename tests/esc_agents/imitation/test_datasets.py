@@ -112,6 +112,24 @@ def test_a_damaged_one_is_named(name, made, observation, tmp_path):
         datasets.read(copy, observation, 5)
 
 
+def test_data_of_another_scenario(made, observation):
+    run = CONFIG.train_config()
+    assert datasets.read(made, observation, 5, run)
+    other = run.model_copy(update={"env": "highway-v0"})
+    with pytest.raises(UserError, match=f"expected labels of highway-v0, got {run.env}'s"):
+        datasets.read(made, observation, 5, other)
+    other = run.model_copy(update={"env_config": {**run.env_config, "lanes_count": 2}})
+    with pytest.raises(UserError, match="expected labels of the same env_config, got lanes_count="):
+        datasets.read(made, observation, 5, other)
+
+
+def test_one_episode_is_too_few(tmp_path, observation):
+    path = tmp_path / "one-v0"
+    collecting.collect(CONFIG.model_copy(update={"episodes": 1}), path)
+    with pytest.raises(UserError, match="expected 2 episodes or more"):
+        datasets.read(path, observation, 5)
+
+
 def test_data_of_others(made, observation, tmp_path):
     with pytest.raises(UserError, match="expected labels of 3 actions, got 5"):
         datasets.read(made, observation, 3)
@@ -132,7 +150,7 @@ def test_data_of_others(made, observation, tmp_path):
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        ("--expert oracle", "expert: expected planner, idm or run:DIR, got 'oracle'"),
+        ("--expert oracle", "expert: expected planner, idm, run:DIR or run:zoo:NAME, got 'oracle'"),
         ("--expert run:nowhere", "nowhere is no run directory"),
         ("--env parking --expert idm", "idm: parking-v0: expected an environment with meta-act"),
         ("--env parking", "planner: parking-v0: expected meta-actions, whose values it says"),

@@ -200,7 +200,7 @@ def test_what_takes_a_run_takes_it(whole, call, tmp_path):
 
 
 def test_experts_of_other_actions_or_without_a_meaning(sac_run, whole, tmp_path):
-    config, planner = small().train_config(), small().planner
+    config, planner = small().train_config(), PlannerConfig()
     with pytest.raises(UserError, match=r"expected a run with the actions Discrete\(5\), got Box"):
         expert_of(f"run:{sac_run}", planner, config)
     shutil.copytree(whole, tmp_path / "run")
@@ -212,7 +212,7 @@ def test_experts_of_other_actions_or_without_a_meaning(sac_run, whole, tmp_path)
 def test_the_policy_of_a_run_is_an_expert(whole):
     """Its own choice is worth 1; who learned from another observation cannot label."""
     config = small().train_config()
-    expert = expert_of(f"run:{whole}", small().planner, config)
+    expert = expert_of(f"run:{whole}", PlannerConfig(), config)
     envs = BatchVecEnv(config, 4, evaluation=True)
     observations = envs.reset()
     found = expert(envs, observations, np.array([2, 0]))
@@ -222,7 +222,7 @@ def test_the_policy_of_a_run_is_an_expert(whole):
     np.testing.assert_array_equal(found, np.eye(5)[chosen])
     other = small(observation={"perception_distance": 50}).train_config()
     with pytest.raises(UserError, match="same observation, got perception_distance"):
-        expert_of(f"run:{whole}", small().planner, other)
+        expert_of(f"run:{whole}", PlannerConfig(), other)
 
 
 def test_a_planner_whose_plans_a_run_goes_on_with(whole):
@@ -257,10 +257,11 @@ def test_it_begins_with_the_weights_of_another_run(whole, tmp_path, capsys):
     ("flags", "message"),
     [
         ("", "expected --expert NAME, who labels, or --data DIR, of esc-collect"),
-        ("--expert oracle", "expert: expected planner, idm or run:DIR, got 'oracle'"),
+        ("--expert oracle", "expert: expected planner, idm, run:DIR or run:zoo:NAME, got 'oracle'"),
         ("--data nowhere", "data: no data set in nowhere"),
         ("--expert planner --portions 2", "portions: expected --data DIR, of which they are"),
         ("--data nowhere --rounds 2", "rounds: expected --expert, who labels"),
+        ("--expert idm --planner.horizon 3", "--planner: expected --expert planner beside it"),
         ("--env parking --expert idm", "idm: parking-v0: expected an environment with meta-act"),
         ("--expert planner --repr max-pool", "repr: "),
         ("--resume nowhere", "nowhere is no run of esc-imitate: expected imitate.yaml in it"),

@@ -104,3 +104,6 @@ def test_whole_episodes_are_held_out():
     together = Labels.of(held)
     assert together.observations["ego"].tolist() == [[9], [9], [19], [19]]  # no last observation
     assert len(together) == 4
+    for count in range(2, 10):  # few are too few for every tenth
+        learnt, held = split(drives[:count])
+        assert [len(learnt), [drive.seed for drive in held]] == [count - 1, [count - 1]]
