@@ -41,7 +41,7 @@ no driver for a road. Steps: of
 training, or labels "by imitation". Minutes: of one run, measured.
 
     esc-eval --pretrained NAME
-    esc-train --env SCENARIO --start-from zoo:NAME
+    esc-train --env SCENARIO --start-from zoo:NAME    # of attention's, with --repr attention
 """
 CARD = """# {name}
 
