@@ -102,12 +102,12 @@ def read(
     folder = path / "data"
     verify(folder, "metadata.json", "main_data.hdf5")
     try:
-        found = package.MinariDataset(folder)
-        about = json.loads(found.storage.metadata[ABOUT])
-        noted = found.storage.get_episode_metadata(range(found.total_episodes))
+        data = package.MinariDataset(folder)
+        about = json.loads(data.storage.metadata[ABOUT])
+        noted = data.storage.get_episode_metadata(range(data.total_episodes))
         drives = [
             _drive(each["seed"], episode)
-            for each, episode in zip(noted, found.iterate_episodes(), strict=True)
+            for each, episode in zip(noted, data.iterate_episodes(), strict=True)
         ]
     except KeyError as missing:
         raise UserError(
@@ -117,6 +117,9 @@ def read(
         raise UserError(f"data {path} is damaged: {type(error).__name__}: {error}") from error
     if what := other_meaning(observation, about["observation"]):
         raise UserError(f"data {path}: expected the same observation, got {what}")
+    rows, found = observation["max_vehicles"], about["observation"]["max_vehicles"]
+    if rows != found:
+        raise UserError(f"data {path}: expected sets of up to N={rows} vehicles, got N={found}")
     if about["actions"] != actions:
         raise UserError(
             f"data {path}: expected labels of {actions} actions, got {about['actions']}"

@@ -135,6 +135,8 @@ def test_data_of_others(made, observation, tmp_path):
         datasets.read(made, observation, 3)
     with pytest.raises(UserError, match="same observation, got perception_distance"):
         datasets.read(made, observation | {"perception_distance": 7.0}, 5)
+    with pytest.raises(UserError, match="expected sets of up to N=3 vehicles, got N="):
+        datasets.read(made, observation | {"max_vehicles": 3}, 5)
     with pytest.raises(UserError, match="no data set in"):
         datasets.read(tmp_path, observation, 5)
     copy = shutil.copytree(made, tmp_path / "tiny-v0")
