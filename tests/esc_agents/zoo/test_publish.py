@@ -88,7 +88,9 @@ def test_a_rival_that_is_no_longer_better_leaves(compared, tmp_path, monkeypatch
         assert call(keep_cli, compared, "--docs", "docs")[0] == 0
         assert zoo.names() == expected
         assert sorted(p.stem for p in (tmp_path / "docs" / "zoo").glob("*.gif")) == expected
-        assert ("attention" in (tmp_path / "docs" / "zoo.md").read_text()) == (len(expected) == 2)
+        assert ("-attention |" in (tmp_path / "docs" / "zoo.md").read_text()) == (
+            len(expected) == 2
+        )
 
 
 def test_above_both_is_above_all(compared):
