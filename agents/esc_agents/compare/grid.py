@@ -263,9 +263,11 @@ def run_config(config: CompareConfig, cell: Cell, slots: int) -> TrainConfig:
 
 def sources(config: CompareConfig, cell: Cell, slots: int) -> list[str]:
     """The runs that a run goes on from, or whose policies its planner tries. slots: as above."""
-    found = [run_config(config, cell, slots).start_from]
     if config.learn == "imitate":
-        found.append(imitate_config(config, cell, slots).planner.policy)
+        run = imitate_config(config, cell, slots)
+        found = [run.start_from, run.planner.policy]
+    else:
+        found = [train_config(config, cell, slots).start_from]
     return [source for source in found if source]
 
 
