@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from esc_gym.extractors import (
         APExtractor as APExtractor,
         AttentionExtractor as AttentionExtractor,
+        ESCExpExtractor as ESCExpExtractor,
         ESCExtractor as ESCExtractor,
         FPExtractor as FPExtractor,
         MaxExtractor as MaxExtractor,
@@ -33,6 +34,7 @@ _LAZY = {
     "REPRESENTATIONS": "esc_gym.encoders",
     "SetExtractor": "esc_gym.extractors",
     "ESCExtractor": "esc_gym.extractors",
+    "ESCExpExtractor": "esc_gym.extractors",
     "FPExtractor": "esc_gym.extractors",
     "APExtractor": "esc_gym.extractors",
     "MeanExtractor": "esc_gym.extractors",

@@ -91,6 +91,10 @@ class ESCExtractor(SetExtractor):
     representation = "esc"
 
 
+class ESCExpExtractor(SetExtractor):
+    representation = "esc-exp"
+
+
 class FPExtractor(SetExtractor):
     representation = "fp"
 
