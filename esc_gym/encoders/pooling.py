@@ -56,16 +56,17 @@ class ESCEncoder(_PooledEncoder):
 class ESCExpEncoder(ESCEncoder):
     """ESC with h(x) = exp(sharpness * g(x)), g the network: a sum in which the nearest can win.
 
-    The code is log(1 + sum_i h(x_i)) / sharpness, which says neither more nor less than the sum; it
-    lies between max(0, max_i g(x_i)) and log(1 + M) / sharpness above. The exponential stands
-    between the output layer and the sum: all d3 numbers are independent, however wide ``hidden``.
+    The code is log(1 + sum_i h(x_i)) / sharpness, which says neither more nor less than the sum: a
+    maximum, max(0, max_i g(x_i)), and at most log(1 + M) / sharpness more. As the exponential comes
+    before the sum, all d3 numbers are independent, however narrow ``hidden``.
 
-    sharpness: beta; the greater, the closer to a maximum.
+    sharpness: the greater, the closer to the maximum. Exponents end at -80 and 80, g at 80 /
+        sharpness: sums of 5,000 vehicles are then within float32.
     """
 
-    LARGEST = 80.0  # of exponents: 5,000 vehicles of exp(80) are still less than float32 holds
+    LIMIT = 80.0
 
-    def __init__(self, *, sharpness: float = 30.0, **dims: Any) -> None:
+    def __init__(self, *, sharpness: float = 100.0, **dims: Any) -> None:
         super().__init__(**dims)
         if not 0 < sharpness < math.inf:
             raise ValueError(f"sharpness: expected a finite number above 0, got {sharpness!r}")
@@ -73,9 +74,9 @@ class ESCExpEncoder(ESCEncoder):
 
     def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
         rows, owner = pack(vehicles, mask)
-        exponent = self.sharpness * self.output(self.layers(rows))
-        total = segment_sum(exponent.clamp(max=self.LARGEST).exp(), owner, len(mask))
-        return total.log1p() / self.sharpness
+        exponents = self.sharpness * self.output(self.layers(rows))
+        each = exponents.clamp(-self.LIMIT, self.LIMIT).exp()
+        return segment_sum(each, owner, len(mask)).log1p() / self.sharpness
 
 
 class MeanEncoder(_PooledEncoder):
