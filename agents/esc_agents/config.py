@@ -200,7 +200,7 @@ class TrainConfig(Model):
     env: str = "highway-v0"
     """highway-env id (highway-v0), or the name of a scenario (highway-dense)."""
     repr: str = "esc"
-    """Representation: esc, fp, ap, mean, max, attention, or module:Class."""
+    """Representation: esc, esc-exp, fp, ap, mean, max, attention, or module:Class."""
     algo: Algorithm = "ppo"
     """sac drives with throttle and steering (`continuous`); ppo as the scenario says."""
     steps: PositiveInt = 100_000

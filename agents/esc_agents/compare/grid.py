@@ -67,7 +67,7 @@ class CompareConfig(Model):
     )  # fmt: skip
     """Scenarios or highway-env ids."""
     repr: Annotated[tuple[str, ...], Many, Field(min_length=1)] = ("esc", "fp", "ap", "attention")
-    """Representations: esc, fp, ap, mean, max, attention, or module:Class."""
+    """Representations: esc, esc-exp, fp, ap, mean, max, attention, or module:Class."""
     algo: Algorithm = "ppo"
     """sac drives with throttle and steering; ppo as the scenario says."""
     learn: Literal["rl", "imitate"] = "rl"

@@ -64,7 +64,7 @@ class ImitateConfig(Model):
     env: str = "highway-v0"
     """highway-env id (highway-v0), or the name of a scenario (highway-dense)."""
     repr: str = "esc"
-    """Representation: esc, fp, ap, mean, max, attention, or module:Class."""
+    """Representation: esc, esc-exp, fp, ap, mean, max, attention, or module:Class."""
     expert: str | None = None
     """Who labels: planner, idm, or run:DIR; with --data it labels the rounds only."""
     data: Path | None = None

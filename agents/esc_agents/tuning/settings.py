@@ -28,7 +28,7 @@ class TuneConfig(Model):
     env: str = "highway-dense"
     """Scenario or highway-env id."""
     repr: str = "esc"
-    """Representation: esc, fp, ap, mean, max, attention, or module:Class."""
+    """Representation: esc, esc-exp, fp, ap, mean, max, attention, or module:Class."""
     algo: Algorithm = "ppo"
     """sac drives with throttle and steering; ppo as the scenario says."""
     space: Mapping = Field(default_factory=dict)
