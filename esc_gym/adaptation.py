@@ -31,8 +31,8 @@ def adapt(model: Model, env: gym.Env | VecEnv) -> Model:
     anew, and a replay buffer is empty (a warning says so if it was not).
 
     model: of any algorithm of SB3 or sb3-contrib, with a features extractor of esc_gym; or only its
-        policy, which then just predicts. Its encoder takes any N: esc, mean, max, attention, and fp
-        and ap with ``slots``.
+        policy, which then just predicts. Its encoder takes any N: esc, esc-exp, mean, max,
+        attention, and fp and ap with ``slots``.
     env: as the model's own, but for N; also another number of vectorised environments. Spaces don't
         name their columns: that both have the same ``features``, ``ego_features``, ``frame`` and
         ``perception_distance`` is for the caller to see to.

@@ -60,8 +60,8 @@ class ESCExpEncoder(ESCEncoder):
     maximum, max(0, max_i g(x_i)), and at most log(1 + M) / sharpness more. As the exponential comes
     before the sum, all d3 numbers are independent, however narrow ``hidden``.
 
-    sharpness: the greater, the closer to the maximum. Exponents end at -80 and 80, g at 80 /
-        sharpness: sums of 5,000 vehicles are then within float32.
+    sharpness: the greater, the closer to the maximum. Exponents are held within -80 and 80, lest a
+        sum of 5,000 vehicles be too large for float32: so g counts up to 80 / sharpness.
     """
 
     LIMIT = 80.0
@@ -74,9 +74,11 @@ class ESCExpEncoder(ESCEncoder):
 
     def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:
         rows, owner = pack(vehicles, mask)
-        exponents = self.sharpness * self.output(self.layers(rows))
-        each = exponents.clamp(-self.LIMIT, self.LIMIT).exp()
-        return segment_sum(each, owner, len(mask)).log1p() / self.sharpness
+        # Scaled where it is small: what has d3 numbers for each vehicle takes the time.
+        weight, bias = (self.sharpness * each for each in (self.output.weight, self.output.bias))
+        exponents = functional.linear(self.layers(rows), weight, bias)
+        total = segment_sum(exponents.clamp(-self.LIMIT, self.LIMIT).exp_(), owner, len(mask))
+        return total.log1p() / self.sharpness
 
 
 class MeanEncoder(_PooledEncoder):

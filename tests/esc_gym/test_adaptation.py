@@ -26,7 +26,10 @@ ALGORITHMS: dict[Any, tuple[bool, dict[str, Any]]] = {
     MaskablePPO: (False, ON | ONCE), RecurrentPPO: (True, ON | ONCE), DQN: (False, OFF),
     QRDQN: (False, OFF), SAC: (True, OFF), TD3: (True, OFF), DDPG: (True, OFF), TQC: (True, OFF),
 }  # fmt: skip
-EVERY = {"esc": {}, "mean": {}, "max": {}, "attention": {}, "fp": {"slots": 3}, "ap": {"slots": 3}}
+EVERY = {
+    "esc": {}, "esc-exp": {}, "mean": {}, "max": {}, "attention": {}, "fp": {"slots": 3},
+    "ap": {"slots": 3},
+}  # fmt: skip
 
 
 class Maskable(Traffic):

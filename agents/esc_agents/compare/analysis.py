@@ -27,7 +27,7 @@ from esc_agents.reporting.statistics import (
 )
 from esc_gym.encoders import REPRESENTATIONS
 
-OURS = "esc"
+OURS = ("esc", "esc-exp")
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,14 @@ class Task:
         return sorted(found, key=lambda r: (known.index(r) if r in known else len(known), r))
 
     @property
-    def rivals(self) -> list[str]:
-        return [repr for repr in self.reprs if repr != OURS] if OURS in self.reprs else []
+    def pairs(self) -> list[tuple[str, str]]:
+        """(one of ours, another), each pair once."""
+        return [
+            (ours, rival)
+            for ours in OURS
+            for rival in self.reprs
+            if ours in self.reprs and rival not in OURS[: OURS.index(ours) + 1]
+        ]
 
     def runs(self, repr: str, traffic: str = "") -> list[Result]:
         """Its runs, by seed."""
@@ -107,8 +113,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Duel:
-    """ESC against a rival. difference: of mean returns; better: probability of improvement."""
+    """One against a rival. difference: of mean returns; better: probability of improvement."""
 
+    ours: str
     rival: str
     difference: Estimate
     better: Estimate
@@ -171,15 +178,15 @@ def row(task: Task, repr: str) -> Row:
 
 
 def duels(task: Task) -> list[Duel]:
-    """ESC against each rival in a scenario."""
-    ours = task.scores(OURS)
+    """ESC, and ESC of exponentials, against each rival in a scenario."""
     return [
         Duel(
+            ours,
             rival,
-            difference_of_means(ours, task.scores(rival)),
-            probability_of_improvement([ours], [task.scores(rival)]),
+            difference_of_means(task.scores(ours), task.scores(rival)),
+            probability_of_improvement([task.scores(ours)], [task.scores(rival)]),
         )
-        for rival in task.rivals
+        for ours, rival in task.pairs
     ]
 
 
@@ -193,13 +200,13 @@ def overall(tasks: Sequence[Task]) -> dict[str, Estimate]:
     return found
 
 
-def overall_duels(tasks: Sequence[Task]) -> dict[str, Estimate]:
-    """Probability that ESC improves on a rival, mean over the scenarios that both ran in."""
+def overall_duels(tasks: Sequence[Task]) -> dict[tuple[str, str], Estimate]:
+    """Probability that one improves on a rival, mean over the scenarios that both ran in."""
     found = {}
-    for rival in dict.fromkeys(chain.from_iterable(task.rivals for task in tasks)):
-        both = [task for task in tasks if rival in task.rivals]
-        found[rival] = probability_of_improvement(
-            [task.scores(OURS) for task in both], [task.scores(rival) for task in both]
+    for ours, rival in dict.fromkeys(chain.from_iterable(task.pairs for task in tasks)):
+        both = [task for task in tasks if (ours, rival) in task.pairs]
+        found[ours, rival] = probability_of_improvement(
+            [task.scores(ours) for task in both], [task.scores(rival) for task in both]
         )
     return found
 

@@ -45,10 +45,10 @@ def differences(task: Task) -> Iterator[str]:
     """What is not equal between the representations of a scenario."""
     firsts = {repr: task.runs(repr)[0] for repr in task.reprs}
     sizes = {repr: result.parameters[0] for repr, result in firsts.items()}
-    if OURS in sizes:
+    if ours := [sizes[repr] for repr in OURS if repr in sizes]:
         for repr, size in sizes.items():
-            if abs(size - sizes[OURS]) > 0.05 * sizes[OURS]:
-                yield f"{task.name}: {repr} has {size / sizes[OURS]:.0%} of ESC's parameters."
+            if abs(size - ours[0]) > 0.05 * ours[0]:
+                yield f"{task.name}: {repr} has {size / ours[0]:.0%} of ESC's parameters."
     for repr, result in firsts.items():
         if result.slots is not None and result.slots < result.vehicles:
             which = "nearest" if repr == "fp" else "first in a random order"

@@ -82,14 +82,14 @@ def bars(tasks: Sequence[Task]) -> Figure:
 
 
 def improvement(tasks: Sequence[Task]) -> Figure:
-    """Probability that a run of ESC beats one of a rival, by scenario and over all."""
+    """Probability that a run of ours beats one of a rival, by scenario and over all."""
     lines: list[tuple[str, str, Estimate]] = []
     for task in tasks:
-        lines += [(task.name, duel.rival, duel.better) for duel in duels(task)]
+        lines += [(f"{task.name}: {d.ours}", d.rival, d.better) for d in duels(task)]
     if len(tasks) > 1:
-        for rival, better in overall_duels(tasks).items():
-            count = sum(rival in task.rivals for task in tasks)
-            lines.append((f"mean of {count}", rival, better))
+        for pair, better in overall_duels(tasks).items():
+            count = sum(pair in task.pairs for task in tasks)
+            lines.append((f"mean of {count}: {pair[0]}", pair[1], better))
     figure = Figure(figsize=(WIDTH, 0.28 * len(lines) + 1), layout="constrained")
     axes: Axes = figure.subplots()
     for place, (_, rival, better) in enumerate(lines):
@@ -97,7 +97,7 @@ def improvement(tasks: Sequence[Task]) -> Figure:
         axes.plot(ends, [place, place], color=hue, linewidth=5, alpha=0.35)
         axes.plot(better.value, place, "o", color=hue, markersize=6, clip_on=False)
     axes.axvline(0.5, color=plots.GREY, linewidth=1, linestyle="--")
-    labels = [f"{name}: esc > {rival}" for name, rival, _ in lines]
+    labels = [f"{name} > {rival}" for name, rival, _ in lines]
     axes.set_yticks(range(len(lines)), labels, fontsize=9)
     axes.invert_yaxis()
     axes.set_xlim(0, 1)

@@ -71,14 +71,15 @@ def write_report(out: Path, trust: bool = False) -> None:
 def verdicts(tasks: Sequence[Task]) -> Iterator[Block]:
     """The answer, in words first."""
     lines = []
-    for rival in dict.fromkeys(rival for task in tasks for rival in task.rivals):
-        found = {task.name: duel for task in tasks for duel in duels(task) if duel.rival == rival}
+    fought = [(task.name, duel) for task in tasks for duel in duels(task)]
+    for pair in dict.fromkeys((duel.ours, duel.rival) for _, duel in fought):
+        found = {name: duel for name, duel in fought if (duel.ours, duel.rival) == pair}
         counts = [
             f"{verdict} in {len(names)} ({'; '.join(names)})"
             for verdict in ("wins", "ties", "loses", "has too few runs to tell")
             if (names := [name for name, duel in found.items() if duel.verdict == verdict])
         ]
-        lines.append(f"**ESC against {rival}**: {', '.join(counts)}.")
+        lines.append(f"**{pair[0]} against {pair[1]}**: {', '.join(counts)}.")
     if lines:
         yield Text("\n".join(lines), bullets=True)
         yield Text(
@@ -87,12 +88,12 @@ def verdicts(tasks: Sequence[Task]) -> Iterator[Block]:
             "be called so. A tie says that these runs show no difference, not that there is none: "
             "with few runs the interval is wide."
         )
-        yield Rows([["", "difference of returns", "probability of improvement", "ESC"], *(
-            [f"{task.name}: ESC against {d.rival}", interval(d.difference, sign=True),
+        yield Rows([["", "difference of returns", "probability of improvement", ""], *(
+            [f"{name}: {d.ours} against {d.rival}", interval(d.difference, sign=True),
              interval(d.better, percent=True), d.verdict]
-            for task in tasks for d in duels(task)
+            for name, d in fought
         )])  # fmt: skip
-        alt = "Probability that a run of ESC has a higher return than one of a rival"
+        alt = "Probability that a run of ours has a higher return than one of a rival"
         yield picture("improvement", figures.improvement(tasks), alt)
     if len(tasks) > 1:
         yield from _overall(tasks)
@@ -104,14 +105,16 @@ def _overall(tasks: Sequence[Task]) -> Iterator[Block]:
         yield Text(
             "IQM of returns over all scenarios, on a scale where 0 is the best blind policy of the "
             "scenario and 1 is IDM/MOBIL (not where that is no better, or missing), of "
-            "representations that ran in all; and the probability that ESC improves on a rival, "
+            "representations that ran in all; and the probability that ours improve on a rival, "
             "mean over the scenarios that both ran in:"
         )
         better = overall_duels(tasks)
-        yield Rows([["", "IQM", "probability of improvement"], *(
+        ours = list(dict.fromkeys(ours for ours, _ in better))
+        yield Rows([["", "IQM", *(f"improvement by {name}" for name in ours)], *(
             [repr, interval(found[repr]) if repr in found else "",
-             interval(better[repr], percent=True) if repr in better else ""]
-            for repr in {**found, **better}
+             *(interval(better[name, repr], percent=True) if (name, repr) in better else ""
+               for name in ours)]
+            for repr in dict.fromkeys([*found, *(rival for _, rival in better)])
         )])  # fmt: skip
 
 

@@ -13,8 +13,8 @@ from esc_agents.reporting.statistics import mean_interval
 
 # Okabe and Ito's colours, which colour-blind people tell apart.
 COLORS = {
-    "esc": "#0072b2", "esc-exp": "#56b4e9", "fp": "#e69f00", "ap": "#d55e00", "mean": "#009e73", "max": "#cc79a7",
-    "attention": "#999933",
+    "esc": "#0072b2", "esc-exp": "#56b4e9", "fp": "#e69f00", "ap": "#d55e00", "mean": "#009e73",
+    "max": "#cc79a7", "attention": "#999933",
 }  # fmt: skip
 GREY = "0.4"
 

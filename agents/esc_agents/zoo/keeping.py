@@ -10,7 +10,7 @@ from shutil import copyfile, rmtree
 import numpy as np
 
 from esc_agents import pretrained
-from esc_agents.compare.analysis import OURS, Task, load
+from esc_agents.compare.analysis import Task, load
 from esc_agents.compare.jobs import JUDGED
 from esc_agents.compare.store import Result
 from esc_agents.driving.episodes import Summary
@@ -22,7 +22,7 @@ KEPT = (
     "config.yaml", "command.txt", "versions.json", "wrapper.json", "results.json", WEIGHTS,
     DESCRIPTION,
 )  # fmt: skip
-RIVAL = "attention"  # kept, too, where it drives better
+RIVALS = "esc-exp", "attention"  # kept, too, where they drive better than ESC
 
 
 @dataclass(frozen=True)
@@ -67,14 +67,15 @@ def keep(run: Path, name: str) -> Path:
 
 
 def best_of(out: Path) -> list[Kept]:
-    """The agents that a comparison's directory has to give: ESC's, and the rival's where better."""
+    """The agents that a comparison's directory has to give: ESC's, and rivals' where better."""
     found = []
     for task in load(out):
-        ours = Kept(task.settings["env"], task, task.runs(OURS), _chosen(task, OURS))
-        found.append(ours)
-        if RIVAL in task.reprs and np.mean(task.scores(RIVAL)) > np.mean(task.scores(OURS)):
-            name = f"{ours.name}-{RIVAL}"
-            found.append(Kept(name, task, task.runs(RIVAL), _chosen(task, RIVAL)))
+        name = task.settings["env"]
+        found.append(Kept(name, task, task.runs("esc"), _chosen(task, "esc")))
+        for rival in RIVALS:
+            if rival in task.reprs and np.mean(task.scores(rival)) > np.mean(task.scores("esc")):
+                chosen = _chosen(task, rival)
+                found.append(Kept(f"{name}-{rival}", task, task.runs(rival), chosen))
     return found
 
 

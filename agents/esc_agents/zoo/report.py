@@ -26,7 +26,7 @@ from esc_agents.driving.rule_driver import RULE
 from esc_agents.errors import say
 from esc_agents.reporting.tables import markdown
 from esc_agents.training.run_directory import commands, write_checksums
-from esc_agents.zoo.keeping import RIVAL, Kept, best_of, keep
+from esc_agents.zoo.keeping import RIVALS, Kept, best_of, keep
 
 ROW = "row.json"  # an agent's line of the page, and what made it
 TEXT = """# The zoo
@@ -41,7 +41,7 @@ no driver for a road. Steps: of
 training, or labels "by imitation". Minutes: of one run, measured.
 
     esc-eval --pretrained NAME
-    esc-train --env SCENARIO --start-from zoo:NAME    # of attention's, with --repr attention
+    esc-train --env SCENARIO --start-from zoo:NAME    # -attention: and --repr attention
 """
 CARD = """# {name}
 
@@ -73,7 +73,9 @@ def publish(comparison: Path, docs: Path) -> list[Kept]:
         (docs / "zoo").mkdir(parents=True, exist_ok=True)
         _film(agent, folder, docs / "zoo" / f"{agent.name}.gif")
         say(f"{folder}: {agent.chosen.cell.name} of {agent.task.folder}")
-    for name in {f"{a.task.settings['env']}-{RIVAL}" for a in agents} - {a.name for a in agents}:
+    kept = {agent.name for agent in agents}
+    could = {f"{agent.task.settings['env']}-{rival}" for agent in agents for rival in RIVALS}
+    for name in could - kept:
         rmtree(pretrained.folder() / name, ignore_errors=True)  # is no longer better
         (docs / "zoo" / f"{name}.gif").unlink(missing_ok=True)
     files.write_text(docs / "zoo.md", page())

@@ -30,7 +30,14 @@ def test_scores_are_by_seed_and_representations_in_the_packages_order():
     assert task().reprs == ["esc", "fp", "ap"]
     assert task().scores("esc") == SCORES["esc"]
     assert task({"own.x:Y": [1.0], "fp": [1.0]}).reprs == ["fp", "own.x:Y"]
-    assert task({"fp": [1.0], "ap": [1.0]}).rivals == []  # nothing to compare with
+    assert task({"fp": [1.0], "ap": [1.0]}).pairs == []  # nothing to compare with
+
+
+def test_each_pair_of_ours_and_another_is_compared_once():
+    assert task({name: [1.0] for name in ("max", "esc-exp", "esc", "fp")}).pairs == [
+        ("esc", "esc-exp"), ("esc", "fp"), ("esc", "max"), ("esc-exp", "fp"), ("esc-exp", "max")
+    ]  # fmt: skip
+    assert task({"esc-exp": [1.0], "fp": [1.0]}).pairs == [("esc-exp", "fp")]
 
 
 def test_a_row():
@@ -53,7 +60,7 @@ def test_a_row():
 )
 def test_verdicts(ours, theirs, verdict):
     (duel,) = analysis.duels(task({"esc": ours, "fp": theirs}))
-    assert (duel.rival, duel.verdict) == ("fp", verdict)
+    assert (duel.ours, duel.rival, duel.verdict) == ("esc", "fp", verdict)
     assert duel.difference.value == pytest.approx(np.mean(ours) - np.mean(theirs))
     wins = np.mean([a > b for a in ours for b in theirs])
     ties = np.mean([a == b for a in ours for b in theirs])
@@ -80,8 +87,8 @@ def test_overall_takes_only_what_ran_everywhere():
     assert found["esc"].value == pytest.approx(stats.trim_mean(scores, 0.25))
     better = analysis.overall_duels(tasks[:2])
     # fp: of nine pairs esc wins 7 and ties 1 (4 beside 3, 4, 5), elsewhere 3 of 4 and a tie.
-    assert better["fp"].value == pytest.approx(((7 + 0.5) / 9 + (3 + 0.5) / 4) / 2)
-    assert better["ap"].value == 1.0  # in the one scenario in which it ran
+    assert better["esc", "fp"].value == pytest.approx(((7 + 0.5) / 9 + (3 + 0.5) / 4) / 2)
+    assert better["esc", "ap"].value == 1.0  # in the one scenario in which it ran
 
 
 def test_above_the_floor_is_above_every_blind_interval():
