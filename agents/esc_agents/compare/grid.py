@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from itertools import product
 from typing import Annotated, Any, Literal
@@ -245,12 +246,17 @@ def imitate_config(config: CompareConfig, cell: Cell, slots: int) -> ImitateConf
 
 
 def _filled(value: Any, cell: Cell) -> Any:
-    """``value``, in whose strings {env}, {repr} and {seed} stand for those of ``cell``."""
+    """``value``, in whose strings {env}, {repr} and {seed} stand for those of ``cell``.
+
+    Raises UserError for another {word}.
+    """
     if isinstance(value, dict):
         return {name: _filled(one, cell) for name, one in value.items()}
     if isinstance(value, str):
         for name in ("env", "repr", "seed"):
             value = value.replace(f"{{{name}}}", str(getattr(cell, name)))
+        if other := re.search(r"\{\w*\}", value):
+            raise UserError(f"{value}: expected {{env}}, {{repr}} or {{seed}}, got {other[0]}")
     return value
 
 

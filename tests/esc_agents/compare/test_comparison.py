@@ -311,6 +311,10 @@ LABELLED = {"env_config": ROAD}
             f"fp-s0: expected a finished run in no/{ENV}$",
         ),
         (
+            {"train": {"start_from": "no/{repr}-{sed}"}},
+            "no/fp-{sed}: expected {env}, {repr} or {seed}, got {sed}",
+        ),
+        (
             {"learn": "imitate", "train": LABELLED, "imitate": {"data": "no-v0"}},
             "no data set in no-v0",
         ),
