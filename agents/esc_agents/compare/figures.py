@@ -99,7 +99,7 @@ def improvement(tasks: Sequence[Task]) -> Figure:
     axes.axvline(0.5, color=plots.GREY, linewidth=1, linestyle="--")
     labels = [f"{name} > {rival}" for name, rival, _ in lines]
     axes.set_yticks(range(len(lines)), labels, fontsize=9)
-    axes.invert_yaxis()
+    axes.set_ylim(len(lines) - 0.5, -0.5)
     axes.set_xlim(0, 1)
     axes.set_xlabel("probability of improvement")
     plots.tidy(axes)
