@@ -159,8 +159,8 @@ def test_wins_losses_and_what_is_no_better_than_blind(tmp_path):
     text = build(
         tmp_path, [result(r, s, [x]) for r, xs in scores.items() for s, x in enumerate(xs)]
     )
-    assert f"**ESC against fp**: loses in 1 ({ENV}, PPO)." in text
-    assert f"**ESC against ap**: wins in 1 ({ENV}, PPO)." in text
+    assert f"**esc against fp**: loses in 1 ({ENV}, PPO)." in text
+    assert f"**esc against ap**: wins in 1 ({ENV}, PPO)." in text
     assert "not clearly above the best blind policy (always IDLE, 0.00 [-2.48, 2.48]): ap." in text
     assert "| **fp** | 3 | 8.10 " in text  # the best is bold
 
