@@ -270,7 +270,7 @@ def test_learning_from_labels(tmp_path):
     folder = store.run_folder(tmp_path, found["esc"].cell)
     assert open_imitation(folder).planner.horizon == 2
     report = (tmp_path / "report.md").read_text()
-    assert f"{ENV}, imitation: ESC against fp" in report
+    assert f"{ENV}, imitation: esc against fp" in report
     store.path_of(tmp_path, found["esc"].cell).unlink()
     compare(config, tmp_path, again := HereEngine())
     assert again.names == [f"{task}/esc-s0"]
