@@ -7,6 +7,7 @@ from typing import Any
 
 from esc_agents.compare.analysis import OURS, Task, tuning_scores
 from esc_agents.compare.grid import IMITATION, TUNING_SEED, TuningConfig, candidates
+from esc_agents.config import TrainConfig
 from esc_agents.reporting.documents import Block, Heading, Rows, Text
 
 
@@ -68,9 +69,13 @@ def differences(task: Task) -> Iterator[str]:
 
 
 def _comparable(config: dict[str, Any], algo: str) -> dict[str, Any]:
-    """A training configuration without what belongs to one run, was tuned, or is not used."""
+    """A training configuration without what belongs to one run, was tuned, or is not used.
+
+    Fields that a run is too old to have are as they are by default: how it was trained.
+    """
     unused = {"ppo": {"sac", "continuous"}, "sac": {"ppo"}, IMITATION: {"ppo", "sac", "continuous"}}
     own = {"repr", "seed", "run_dir", "start_from"} | unused[algo]
+    config = TrainConfig.model_validate(config).model_dump(mode="json")
     kept = {key: value for key, value in config.items() if key not in own}
     if algo in kept:
         kept[algo] = {k: v for k, v in kept[algo].items() if k != "learning_rate"}
