@@ -56,20 +56,23 @@ class ESCEncoder(_PooledEncoder):
 class ESCExpEncoder(ESCEncoder):
     """ESC with h(x) = exp(sharpness * g(x)), g the network: a sum in which the nearest can win.
 
-    The code is log(1 + sum_i h(x_i)) / sharpness, which says neither more nor less than the sum: a
-    maximum, max(0, max_i g(x_i)), and at most log(1 + M) / sharpness more. As the exponential comes
-    before the sum, all d3 numbers are independent, however narrow ``hidden``.
+    The code is log(1 + sum_i h(x_i)) / sharpness, which says neither more nor less than the sum. g
+    is held within -80 / sharpness and 80 / sharpness, lest exponentials, or the sum of 5,000 of
+    them, be too large for float32. With that g the code is a maximum, max(0, max_i g(x_i)), and at
+    most log(1 + M) / sharpness more; of those at the upper limit it tells the number. As the
+    exponential comes before the sum, all d3 numbers are linearly independent, however narrow
+    ``hidden``.
 
-    sharpness: the greater, the closer to the maximum. Exponents are held within -80 and 80, lest a
-        sum of 5,000 vehicles be too large for float32: so g counts up to 80 / sharpness.
+    sharpness: 0.001 to 1e6; the greater, the closer to the maximum, and the lower the limit.
     """
 
     LIMIT = 80.0
 
     def __init__(self, *, sharpness: float = 100.0, **dims: Any) -> None:
         super().__init__(**dims)
-        if not 0 < sharpness < math.inf:
-            raise ValueError(f"sharpness: expected a finite number above 0, got {sharpness!r}")
+        number = isinstance(sharpness, (int, float)) and not isinstance(sharpness, bool)
+        if not number or not 1e-3 <= sharpness <= 1e6:
+            raise ValueError(f"sharpness: expected a number from 0.001 to 1e6, got {sharpness!r}")
         self.sharpness = sharpness
 
     def encode(self, vehicles: Tensor, mask: Tensor, ego: Tensor) -> Tensor:

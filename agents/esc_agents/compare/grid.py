@@ -255,7 +255,7 @@ def _filled(value: Any, cell: Cell) -> Any:
     if isinstance(value, str):
         for name in ("env", "repr", "seed"):
             value = value.replace(f"{{{name}}}", str(getattr(cell, name)))
-        if other := re.search(r"\{\w*\}", value):
+        if other := re.search(r"\{.*?\}", value):
             raise UserError(f"{value}: expected {{env}}, {{repr}} or {{seed}}, got {other[0]}")
     return value
 

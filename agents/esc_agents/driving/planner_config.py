@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, NonNegativeFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveInt, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
 
 from esc_agents.config import Model, Probability, Seed
 
@@ -45,3 +46,12 @@ class PlannerConfig(Model):
     """Guesses of what cannot be seen, over which is averaged; default 4."""
     seed: Seed = 0
     """Of the guesses, and of what is drawn at random."""
+
+    @field_validator("futures")
+    @classmethod
+    def _guessed(cls, futures: int | None, info: ValidationInfo) -> int | None:
+        if futures is not None and info.data.get("knows") == "all":
+            raise PydanticCustomError(
+                "knows", "needs knows: observed, as nothing is guessed by what knows all"
+            )
+        return futures

@@ -47,11 +47,6 @@ def make_planner(
         given: dict[str, Any] = config.model_dump(exclude={"method"}, exclude_none=True)
         if foreign := sorted(given.keys() - has):
             raise UserError(f"--planner.{foreign[0]}: the method {method} has none; leave it out")
-        if config.futures and config.knows == "all":
-            raise UserError(
-                "--planner.futures: nothing is guessed by a planner that knows all; leave it out, "
-                "or give --planner.knows observed"
-            )
         values = {name: value for name, value in defaults.items() if name in has} | given
         if values.get("continuations") == ALL:
             values["continuations"] = None

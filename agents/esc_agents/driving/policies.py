@@ -162,6 +162,13 @@ def start_from(
             f"{who}: expected the same network, got {what} {theirs.get(what)} there and "
             f"{mine.get(what)} here; repr, encoder, net_arch and max_vehicles have to agree"
         )
+    ours = pinned_arguments(policy)  # the same shapes can still mean another code
+    for name in (ours.keys() | description.encoder.keys()) - {"max_vehicles"}:
+        here, there = ours.get(name), description.encoder.get(name)
+        if here != there:
+            raise UserError(
+                f"{who}: expected the same encoder, got {name} {there} there and {here} here"
+            )
     _set_weights(policy, weights)
     say(f"Beginning with the weights of {folder}, of {description.steps:,} steps")
 

@@ -41,7 +41,7 @@ no driver for a road. Steps: of
 training, or labels "by imitation". Minutes: of one run, measured.
 
     esc-eval --pretrained NAME
-    esc-train --env SCENARIO --start-from zoo:NAME    # -attention: and --repr attention
+    esc-train --env SCENARIO --start-from zoo:NAME    # of NAME-attention: and --repr attention
 """
 CARD = """# {name}
 
@@ -74,8 +74,11 @@ def publish(comparison: Path, docs: Path) -> list[Kept]:
         _film(agent, folder, docs / "zoo" / f"{agent.name}.gif")
         say(f"{folder}: {agent.chosen.cell.name} of {agent.task.folder}")
     kept = {agent.name for agent in agents}
-    could = {f"{agent.task.settings['env']}-{rival}" for agent in agents for rival in RIVALS}
-    for name in could - kept:
+    compared = {
+        f"{agent.task.settings['env']}-{rival}"
+        for agent in agents for rival in RIVALS if rival in agent.task.reprs
+    }  # fmt: skip
+    for name in compared - kept:
         rmtree(pretrained.folder() / name, ignore_errors=True)  # is no longer better
         (docs / "zoo" / f"{name}.gif").unlink(missing_ok=True)
     files.write_text(docs / "zoo.md", page())

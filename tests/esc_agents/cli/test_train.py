@@ -226,7 +226,7 @@ def test_bad_input_of_eval(args, message, call, tmp_path):
         ("parking free 2", "--planner.free: the method cross-entropy has none; leave it out"),
         ("merge method cross-entropy", "expected an environment with continuous actions, got"),
         ("merge samples 64", "--planner.samples: the method look-ahead has none; leave it out"),
-        ("merge futures 2", "--planner.futures: nothing is guessed by a planner that knows all"),
+        ("merge futures 2", "planner.futures needs knows: observed"),
         ("merge policy gone", "gone is no run directory"),
         ("merge policy zoo:marge", "did you mean 'merge'?"),
         ("merge policy zoo:roundabout", "zoo:roundabout: expected a run with the same observation"),

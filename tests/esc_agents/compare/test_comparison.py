@@ -311,8 +311,8 @@ LABELLED = {"env_config": ROAD}
             f"fp-s0: expected a finished run in no/{ENV}$",
         ),
         (
-            {"train": {"start_from": "no/{repr}-{sed}"}},
-            "no/fp-{sed}: expected {env}, {repr} or {seed}, got {sed}",
+            {"train": {"start_from": "no/{repr}-{ sed }"}},
+            r"no/fp-\{ sed \}: expected \{env\}, \{repr\} or \{seed\}, got \{ sed \}",
         ),
         (
             {"learn": "imitate", "train": LABELLED, "imitate": {"data": "no-v0"}},

@@ -93,6 +93,13 @@ def test_a_rival_that_is_no_longer_better_leaves(compared, tmp_path, monkeypatch
         )
 
 
+def test_a_rival_that_was_not_compared_stays(compared, tmp_path, call):
+    other = tmp_path / "zoo" / f"{ENV}-esc-exp"
+    other.mkdir(parents=True)
+    assert call(keep_cli, compared, "--docs", "docs")[0] == 0
+    assert other.is_dir()
+
+
 def test_above_both_is_above_all(compared):
     (agent, *_) = best_of(compared)
 

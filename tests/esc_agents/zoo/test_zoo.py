@@ -112,6 +112,7 @@ def test_a_run_begins_with_the_weights_of_another(ppo_run):
 OTHERWISE = {
     "ranges": {"observation": {"ranges": {**RANGES, "x": (-50, 50)}}},
     "features": {"observation": {"ranges": RANGES, "features": ("x", "y", "vx", "vy")}},
+    "got representation esc there and esc-exp here": {"repr": "esc-exp"},
     "the same network": {"ppo": {**PPO, "net_arch": (9,)}},
     "the actions": {
         "env_config": {"action": {"type": "DiscreteMetaAction", "lateral": False}},

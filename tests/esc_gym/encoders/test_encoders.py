@@ -118,8 +118,10 @@ def test_wrong_tensors_are_refused(name, index, tensor, message):
         ("esc", {"scale": 0.0}, "scale"),
         ("esc", {"scale": math.nan}, "scale"),
         ("attention", {"heads": 0}, "heads"),
-        ("esc-exp", {"sharpness": 0.0}, "sharpness: expected a finite number above 0, got 0.0"),
-        ("esc-exp", {"sharpness": math.inf}, "sharpness"),
+        *(
+            ("esc-exp", {"sharpness": wrong}, "sharpness: expected a number from 0.001 to 1e6")
+            for wrong in (0.0, -1.0, math.inf, math.nan, 1e-4, 1e30, 10**400, "1e3", True, None)
+        ),
         ("fp", {"slots": 0}, "slots"),
         ("fp", {"sort": "size"}, "sort: expected one of distance, lexicographic, got 'size'"),
         ("fp", {"position": (0, 3)}, "position: expected two of 3 columns"),
