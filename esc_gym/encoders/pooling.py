@@ -36,8 +36,9 @@ class _PooledEncoder(SetEncoder):
 class ESCEncoder(_PooledEncoder):
     """Encoding sum and concatenation, the paper's equation for U_ESC: sum_i h(x_i).
 
-    Of the d3 numbers of a code at most hidden[-1] + 1 are independent, as h ends in a linear layer
-    and the sum knows M besides: only with hidden[-1] >= d3 - 1 is it as wide as Theorem 1 asks.
+    Of the d3 numbers of a code at most hidden[-1] + 1 are linearly independent, as h ends in a
+    linear layer and the sum knows M besides: only with hidden[-1] >= d3 - 1 is it as wide as
+    Theorem 1 asks.
     """
 
     def __init__(self, **dims: Any) -> None:

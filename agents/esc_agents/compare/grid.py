@@ -248,7 +248,7 @@ def imitate_config(config: CompareConfig, cell: Cell, slots: int) -> ImitateConf
 def _filled(value: Any, cell: Cell) -> Any:
     """``value``, in whose strings {env}, {repr} and {seed} stand for those of ``cell``.
 
-    Raises UserError for another {word}.
+    Raises UserError for anything else in braces.
     """
     if isinstance(value, dict):
         return {name: _filled(one, cell) for name, one in value.items()}

@@ -163,7 +163,7 @@ def start_from(
             f"{mine.get(what)} here; repr, encoder, net_arch and max_vehicles have to agree"
         )
     ours = pinned_arguments(policy)  # the same shapes can still mean another code
-    for name in (ours.keys() | description.encoder.keys()) - {"max_vehicles"}:
+    for name in sorted((ours.keys() | description.encoder.keys()) - {"max_vehicles"}):
         here, there = ours.get(name), description.encoder.get(name)
         if here != there:
             raise UserError(
