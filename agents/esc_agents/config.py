@@ -20,8 +20,9 @@ from pydantic import (
 )
 from tyro.constructors import PrimitiveConstructorSpec
 
-from esc_agents import strangers
+from esc_agents import strangers, yaml_text
 from esc_agents.errors import UserError
+from esc_agents.yaml_text import flow, parse
 from esc_gym.features import DEFAULT_FEATURES
 from esc_gym.registration import ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
 
@@ -36,14 +37,9 @@ NOUNS = {
 """Kinds of configurations, and what one of each is called."""
 
 
-def flow(value: Any) -> str:
-    """YAML on one line."""
-    return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10**6).strip()
-
-
 def _from_yaml(words: list[str]) -> Any:
     try:
-        return yaml.safe_load(words[0])
+        return parse(words[0])
     except yaml.YAMLError as error:
         raise ValueError(f"expected YAML such as '{{key: value}}', got {words[0]!r}") from error
 
@@ -273,7 +269,7 @@ def load(name: str | Path, kind: str, model: type[M], trust: bool = False) -> M:
         path, trust = known[str(name)], True
     try:
         data = path.read_bytes()
-        values = yaml.safe_load(data.decode())
+        values = parse(data.decode())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise UserError(f"config {path}: not readable as YAML: {error}") from error
     if not isinstance(values, dict):
@@ -346,4 +342,4 @@ def _nearest(name: str, known: Any) -> str:
 def dump(config: Model) -> str:
     """YAML that ``load`` reads back to an equal configuration."""
     values = {"schema": SCHEMA, **config.model_dump(mode="json", exclude={"run_dir"})}
-    return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
+    return yaml_text.dump(values)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Sequence
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 import torch
@@ -37,8 +38,14 @@ class SetEncoder(nn.Module):
         hidden: Sequence[int] = DEFAULT_HIDDEN,
         code_dim: int | None = None,
         scale: float = 1.0,
+        **unknown: Any,
     ) -> None:
         super().__init__()
+        if unknown:
+            raise TypeError(
+                f"{type(self).__name__}: expected arguments among {', '.join(_arguments(self))}, "
+                f"got {', '.join(unknown)}"
+            )
         self.hidden = tuple(hidden)
         if not self.hidden:
             raise ValueError("hidden: expected at least one width, got none")
@@ -50,7 +57,7 @@ class SetEncoder(nn.Module):
         self.required_code_dim = max_vehicles * vehicle_dim + 1
         self.code_dim = self.required_code_dim if code_dim is None else code_dim
         check_positive(code_dim=self.code_dim)
-        if not math.isfinite(scale) or scale == 0:
+        if not is_number(scale) or not 0 < abs(scale) < math.inf:
             raise ValueError(f"scale: expected a finite number other than 0, got {scale!r}")
         self.scale = scale
         self.features_dim = self.code_dim + ego_dim
@@ -88,6 +95,19 @@ class SetEncoder(nn.Module):
                     f"{name}: expected dtype {dtype}, that of the weights, got {tensor.dtype}; "
                     "convert the tensor or the encoder with .to(dtype)"
                 )
+
+
+def _arguments(encoder: SetEncoder) -> list[str]:
+    """What an encoder's class, and those that it derives from, are made with."""
+    makers = [cls.__init__ for cls in type(encoder).__mro__ if issubclass(cls, SetEncoder)]
+    return [
+        name for maker in makers for name, parameter in inspect.signature(maker).parameters.items()
+        if parameter.kind is parameter.KEYWORD_ONLY
+    ]  # fmt: skip
+
+
+def is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def check_positive(**values: Any) -> None:

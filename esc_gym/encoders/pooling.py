@@ -9,7 +9,7 @@ from typing import Any
 from torch import Tensor, nn
 from torch.nn import functional
 
-from esc_gym.encoders.base import SetEncoder, check_positive, hidden_layers
+from esc_gym.encoders.base import SetEncoder, check_positive, hidden_layers, is_number
 from esc_gym.sets import is_all_real, pack, segment_max, segment_sum
 
 
@@ -71,8 +71,7 @@ class ESCExpEncoder(ESCEncoder):
 
     def __init__(self, *, sharpness: float = 100.0, **dims: Any) -> None:
         super().__init__(**dims)
-        number = isinstance(sharpness, (int, float)) and not isinstance(sharpness, bool)
-        if not number or not 1e-3 <= sharpness <= 1e6:
+        if not is_number(sharpness) or not 1e-3 <= sharpness <= 1e6:
             raise ValueError(f"sharpness: expected a number from 0.001 to 1e6, got {sharpness!r}")
         self.sharpness = sharpness
 

@@ -11,6 +11,7 @@ from esc_agents.config import (
     scenarios,
 )
 from esc_agents.errors import UserError
+from esc_agents.yaml_text import flow, parse
 from esc_gym.registration import ENV_IDS
 from tests.esc_agents.tiny import tiny
 
@@ -96,6 +97,13 @@ def test_bad_files(text, message, tmp_path):
 
 def test_numbers_that_yaml_reads_as_text(tmp_path):
     assert load("ppo: {learning_rate: 3e-4}", tmp_path).ppo.learning_rate == 0.0003
+    # Where no type says that it is one.
+    text = "env_config: {a: 1e-3, b: -2E+1, c: .5e1, d: 1.e2, e: '1e3', f: 1e, g: e1, h: 1e-3x}"
+    config = load(text, tmp_path)
+    values = [1e-3, -20.0, 5.0, 100.0, "1e3", "1e", "e1", "1e-3x"]
+    assert list(config.env_config.values()) == values
+    assert load(dump(config), tmp_path) == config
+    assert parse(flow(config.env_config)) == config.env_config
 
 
 def test_unknown_scenario(tmp_path):

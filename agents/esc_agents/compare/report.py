@@ -30,12 +30,12 @@ from esc_agents.compare.analysis import (
 from esc_agents.compare.fairness import fairness, tuning
 from esc_agents.compare.films import film_of
 from esc_agents.compare.grid import EPISODES, TUNING_EPISODES
-from esc_agents.config import flow
 from esc_agents.errors import UserError, say
 from esc_agents.reporting.documents import Block, Heading, Rows, Text, picture, write
 from esc_agents.reporting.statistics import Estimate, mean_interval
 from esc_agents.reporting.tables import show, terminal
 from esc_agents.training.run_directory import commands
+from esc_agents.yaml_text import flow
 
 TITLE = "Representations of traffic, compared"
 COLUMNS = (

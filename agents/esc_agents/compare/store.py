@@ -22,7 +22,7 @@ from typing import Any
 
 import yaml
 
-from esc_agents import files, strangers
+from esc_agents import files, strangers, yaml_text
 from esc_agents.compare.grid import Candidate, Cell, CompareConfig, task_name
 from esc_agents.driving.episodes import Episode, Summary, as_rows, summaries
 from esc_agents.errors import UserError
@@ -182,7 +182,7 @@ def begin_task(out: Path, config: CompareConfig, env: str, trust: bool = False) 
     asked["transfer"] = config.transfer.get(env, {})
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        text = f"# mac: {strangers.BLANK}\n{yaml.safe_dump(asked, sort_keys=False)}"
+        text = f"# mac: {strangers.BLANK}\n{yaml_text.dump(asked)}"
         files.write_text(path, strangers.signed(text))
         return
     found = task_settings(folder, trust)
@@ -199,7 +199,7 @@ def task_settings(folder: Path, trust: bool = False) -> dict[str, Any]:
     path = folder / "task.yaml"
     try:
         data = path.read_bytes()
-        settings = yaml.safe_load(data.decode())
+        settings = yaml_text.parse(data.decode())
         if not isinstance(settings, dict):
             raise ValueError("no mapping in it")
     except (OSError, ValueError, yaml.YAMLError) as error:

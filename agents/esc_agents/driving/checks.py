@@ -26,7 +26,7 @@ def check(config: TrainConfig) -> gym.Env:
     env = check_env(config)
     if config.hyperparameters.train_env_config:
         _check_training(config, env)
-    with _explained(config):
+    with _explained("encoder"):
         _try_encoder(config, env)
     if config.hyperparameters.use_sde and isinstance(env.action_space, gym.spaces.Discrete):
         raise UserError(
@@ -79,7 +79,7 @@ def _check_hindsight(config: TrainConfig, env: gym.Env) -> None:
 def check_env(config: TrainConfig) -> gym.Env:
     """One environment of the run, which was made and made a step."""
     check_env_id(config.env)
-    with _explained(config):
+    with _explained(config.env):
         check_actions(config)
         env = make_env(config)
         env.reset(seed=config.seed)
@@ -88,8 +88,8 @@ def check_env(config: TrainConfig) -> gym.Env:
 
 
 @contextmanager
-def _explained(config: TrainConfig) -> Iterator[None]:
-    """A wrong value in env_config can make highway-env raise anything: a UserError of it."""
+def _explained(what: str) -> Iterator[None]:
+    """A wrong value can make highway-env, or an encoder, raise anything: a UserError of it."""
     try:
         yield
     except UserError:
@@ -97,7 +97,7 @@ def _explained(config: TrainConfig) -> Iterator[None]:
     except Exception as error:
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         reason = str(error).partition(" was raised from the environment creator")[0]
-        raise UserError(f"{config.env}: {kind}{reason}") from error
+        raise UserError(f"{what}: {kind}{reason}") from error
 
 
 def check_device(name: str) -> None:

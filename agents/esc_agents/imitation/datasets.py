@@ -19,9 +19,8 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import yaml
 
-from esc_agents import files
+from esc_agents import files, yaml_text
 from esc_agents.config import TrainConfig
 from esc_agents.driving.environments import other_meaning
 from esc_agents.errors import UserError
@@ -125,7 +124,7 @@ def read(
             f"data {path}: expected labels of {actions} actions, got {about['actions']}"
         )
     if run:
-        _check_scenario(path, run.model_dump(mode="json"), yaml.safe_load(about["run"]))
+        _check_scenario(path, run.model_dump(mode="json"), yaml_text.parse(about["run"]))
     if len(drives) < 2:
         raise UserError(f"data {path}: expected 2 episodes or more, of which some are held out")
     return drives

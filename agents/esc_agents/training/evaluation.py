@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from esc_agents import files
-from esc_agents.config import TrainConfig, config_for_env, flow
+from esc_agents.config import TrainConfig, config_for_env
 from esc_agents.driving import experts
 from esc_agents.driving.checks import check_env
 from esc_agents.driving.environments import MEANING, actions, env_config, wrapper_json
@@ -32,6 +32,7 @@ from esc_agents.reporting.tables import show, terminal
 from esc_agents.training import run_directory
 from esc_agents.training.callbacks import StopOnSignal
 from esc_agents.training.models import load_model
+from esc_agents.yaml_text import flow
 from esc_gym.adaptation import adapt
 from esc_gym.registration import merge
 

@@ -9,7 +9,7 @@ import numpy as np
 import optuna
 
 from esc_agents import files
-from esc_agents.config import dump, flow
+from esc_agents.config import dump
 from esc_agents.errors import say
 from esc_agents.reporting import documents
 from esc_agents.reporting.documents import Block, Heading, Rows, Text
@@ -18,6 +18,7 @@ from esc_agents.reporting.tables import show, terminal
 from esc_agents.tuning.search import as_known
 from esc_agents.tuning.settings import TuneConfig, train_config
 from esc_agents.tuning.trials import JUDGED, Tried
+from esc_agents.yaml_text import flow
 
 SHOWN = 10  # trials in the table
 BEST = "best.yaml"

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import optuna
-import yaml
 from optuna.distributions import (
     BaseDistribution,
     CategoricalDistribution,
@@ -15,9 +14,9 @@ from optuna.distributions import (
 )
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
-from esc_agents.config import flow
 from esc_agents.errors import UserError
 from esc_agents.tuning.settings import Parameters, TuneConfig, scenario, train_config
+from esc_agents.yaml_text import flow, parse
 
 
 def distributions(config: TuneConfig) -> dict[str, BaseDistribution]:
@@ -67,7 +66,7 @@ def choose(config: TuneConfig, known: Sequence[FrozenTrial], count: int) -> list
     while len(chosen) < count:
         asked = study.ask(distributions(config)).params
         chosen.append({
-            key: yaml.safe_load(value) if "choices" in config.space[key] else value
+            key: parse(value) if "choices" in config.space[key] else value
             for key, value in asked.items()
         })  # fmt: skip
     return chosen

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from esc_agents import files
+from esc_agents import files, yaml_text
 from esc_agents.compare.engines import Engine
 from esc_agents.compare.progress import run_jobs
 from esc_agents.config import SCHEMA
@@ -47,10 +47,10 @@ def tune(config: TuneConfig, out: Path, engine: Engine, trust: bool = False) -> 
 def _begin(config: TuneConfig, out: Path) -> None:
     path, mine = out / SHARED, {"schema": SCHEMA, **config.fixed()}
     if not path.exists():
-        files.write_text(path, yaml.safe_dump(mine, sort_keys=False))
+        files.write_text(path, yaml_text.dump(mine))
         return
     try:
-        theirs: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        theirs: Any = yaml_text.parse(path.read_text(encoding="utf-8"))
         differing = [key for key in mine if mine[key] != theirs.get(key)]
     except (yaml.YAMLError, AttributeError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: not readable as YAML: {error}") from error

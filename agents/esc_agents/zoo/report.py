@@ -16,7 +16,7 @@ from esc_agents import files, pretrained
 from esc_agents.compare import store
 from esc_agents.compare.films import shown, together
 from esc_agents.compare.grid import EPISODES, IMITATION
-from esc_agents.config import TrainConfig, flow
+from esc_agents.config import TrainConfig
 from esc_agents.driving.baselines import best_blind, is_above
 from esc_agents.driving.episodes import Summary, model_policy, return_of
 from esc_agents.driving.experts import PLANNER
@@ -26,6 +26,7 @@ from esc_agents.driving.rule_driver import RULE
 from esc_agents.errors import say
 from esc_agents.reporting.tables import markdown
 from esc_agents.training.run_directory import commands, write_checksums
+from esc_agents.yaml_text import flow
 from esc_agents.zoo.keeping import RIVALS, Kept, best_of, keep
 
 ROW = "row.json"  # an agent's line of the page, and what made it

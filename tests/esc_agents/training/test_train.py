@@ -283,7 +283,10 @@ def test_ctrl_c_saves_the_model_and_says_how_to_go_on(tmp_path, monkeypatch, cap
             {"ppo": {"train_env_config": {"action": {"type": "ContinuousAction"}}}},
             "the actions that evaluations have",
         ),
-        ({"encoder": {"arguments": {"scala": 1}}}, "unexpected keyword argument 'scala'"),
+        (
+            {"encoder": {"arguments": {"scala": 1}}},
+            r"encoder: .*: expected arguments among .*scale, got scala",
+        ),
         ({"encoder": {"arguments": {"vehicle_dim": 3}}}, "vehicles: expected shape"),
         ({"encoder": {"hidden": ()}}, "hidden: expected at least one width"),
         ({"observation": {"features": ("x", "z")}}, r"expected distinct names .* got \['z'\]"),

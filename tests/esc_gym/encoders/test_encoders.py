@@ -115,8 +115,10 @@ def test_wrong_tensors_are_refused(name, index, tensor, message):
         ("esc", {"code_dim": -1}, "code_dim"),
         ("esc", {"hidden": ()}, "hidden: expected at least one"),
         ("esc", {"hidden": (8, 0)}, r"hidden\[1\]"),
-        ("esc", {"scale": 0.0}, "scale"),
-        ("esc", {"scale": math.nan}, "scale"),
+        *(
+            ("esc", {"scale": wrong}, "scale: expected a finite number other than 0")
+            for wrong in (0.0, math.nan, math.inf, "1e-1", True, None)
+        ),
         ("attention", {"heads": 0}, "heads"),
         *(
             ("esc-exp", {"sharpness": wrong}, "sharpness: expected a number from 0.001 to 1e6")
@@ -132,6 +134,11 @@ def test_wrong_tensors_are_refused(name, index, tensor, message):
 def test_wrong_settings_are_refused(name, kwargs, message):
     with pytest.raises(ValueError, match=message):
         build(name, **kwargs)
+
+
+def test_unknown_settings_are_refused():
+    with pytest.raises(TypeError, match=r"AttentionEncoder: .* heads, .* scale, got sharpness, z$"):
+        build("attention", sharpness=1, heads=1, z=3)
 
 
 def test_representation_by_name_and_by_path():
