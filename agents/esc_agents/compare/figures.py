@@ -82,27 +82,28 @@ def bars(tasks: Sequence[Task]) -> Figure:
 
 
 def improvement(tasks: Sequence[Task]) -> Figure:
-    """Probability that a run of ours beats one of a rival, by scenario and over all."""
-    lines: list[tuple[str, str, Estimate]] = []
-    for task in tasks:
-        lines += [(f"{task.name}: {d.ours}", d.rival, d.better) for d in duels(task)]
+    """Probability that a run of ours beats a rival's, a panel for each scenario and for all."""
+    found = {task.name: {(d.ours, d.rival): d.better for d in duels(task)} for task in tasks}
     if len(tasks) > 1:
-        for pair, better in overall_duels(tasks).items():
-            count = sum(pair in task.pairs for task in tasks)
-            lines.append((f"mean of {count}: {pair[0]}", pair[1], better))
-    figure = Figure(figsize=(WIDTH, 0.28 * len(lines) + 1), layout="constrained")
-    axes: Axes = figure.subplots()
-    for place, (_, rival, better) in enumerate(lines):
-        hue, ends = plots.color(rival), [better.low, better.high]
-        axes.plot(ends, [place, place], color=hue, linewidth=5, alpha=0.35)
-        axes.plot(better.value, place, "o", color=hue, markersize=6, clip_on=False)
-    axes.axvline(0.5, color=plots.GREY, linewidth=1, linestyle="--")
-    labels = [f"{name} > {rival}" for name, rival, _ in lines]
-    axes.set_yticks(range(len(lines)), labels, fontsize=9)
-    axes.set_ylim(len(lines) - 0.5, -0.5)
-    axes.set_xlim(0, 1)
-    axes.set_xlabel("probability of improvement")
-    plots.tidy(axes)
+        found["mean of the scenarios"] = overall_duels(tasks)
+    found = {name: pairs for name, pairs in found.items() if pairs}
+    most = max(len({rival for _, rival in pairs}) for pairs in found.values())
+    figure, panels = _panels(len(found), 0.9 + 0.28 * most)
+    for axes, (name, pairs) in zip(panels, found.items(), strict=True):
+        ours, rivals = (list(dict.fromkeys(names)) for names in zip(*pairs, strict=True))
+        for (mine, rival), better in pairs.items():
+            place = rivals.index(rival) + 0.3 * (ours.index(mine) - (len(ours) - 1) / 2)
+            hue = plots.color(mine)
+            axes.plot([better.low, better.high], [place] * 2, color=hue, linewidth=4, alpha=0.35)
+            axes.plot(better.value, place, "o", color=hue, markersize=5, clip_on=False, label=mine)
+        axes.axvline(0.5, color=plots.GREY, linewidth=1, linestyle="--")
+        axes.set_yticks(range(len(rivals)), [f"over {rival}" for rival in rivals], fontsize=9)
+        axes.set_ylim(len(rivals) - 0.5, -0.5)
+        axes.set_xlim(0, 1)
+        axes.set_xlabel("probability of improvement", fontsize=9)
+        axes.set_title(name, fontsize=10)
+        plots.tidy(axes)
+    plots.legend(figure, panels)
     return figure
 
 
