@@ -37,4 +37,4 @@ def dump(value: Any) -> str:
 def flow(value: Any) -> str:
     """YAML on one line."""
     text = yaml.dump(value, Dumper=_Dumper, default_flow_style=True, sort_keys=False, width=10**6)
-    return text.strip()
+    return text.strip().removesuffix("\n...")  # YAML's end of a bare number or word

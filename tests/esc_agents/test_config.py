@@ -104,6 +104,7 @@ def test_numbers_that_yaml_reads_as_text(tmp_path):
     assert list(config.env_config.values()) == values
     assert load(dump(config), tmp_path) == config
     assert parse(flow(config.env_config)) == config.env_config
+    assert [flow(value) for value in (80.0, "x", "1e3", [])] == ["80.0", "x", "'1e3'", "[]"]
 
 
 def test_unknown_scenario(tmp_path):

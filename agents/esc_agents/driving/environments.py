@@ -21,6 +21,7 @@ from esc_agents.config import TrainConfig
 from esc_agents.driving.rule_driver import RuleDriver
 from esc_agents.driving.wrappers import DrivingMonitor, Progress, SeededEpisodes, Worker
 from esc_agents.errors import UserError
+from esc_agents.yaml_text import flow
 from esc_gym.registration import NAMESPACE, merge, merge_config
 from esc_gym.scenarios import scenario_of_class
 
@@ -138,11 +139,25 @@ MEANING = ("features", "ego_features", "frame", "perception_distance", "ranges",
 def other_meaning(here: dict[str, Any], there: dict[str, Any]) -> str:
     """In what two ``wrapper_json``, one of them from a file, differ for weights; "" if in nothing.
 
-    For messages: "KEY ITS VALUE there and ITS VALUE here".
+    For messages: "KEY ITS VALUE there and ITS VALUE here", of long values only what differs.
     """
     mine = json.loads(json.dumps(here))
-    key = next((key for key in MEANING if mine[key] != there.get(key)), None)
-    return f"{key} {there.get(key)} there and {here[key]} here" if key else ""
+    for key in MEANING:
+        if mine[key] != there.get(key):
+            pair = there.get(key), mine[key]
+            apart = _without(*pair), _without(*reversed(pair))
+            theirs, ours = apart if any(apart) else pair  # if in nothing, then in their order
+            return f"{key} {flow(theirs)} there and {flow(ours)} here"
+    return ""
+
+
+def _without(value: Any, other: Any) -> Any:
+    """What of a list or mapping the other has not; of anything else all."""
+    if isinstance(value, list) and isinstance(other, list):
+        return [entry for entry in value if entry not in other]
+    if isinstance(value, dict) and isinstance(other, dict):
+        return {key: entry for key, entry in value.items() if other.get(key) != entry}
+    return value
 
 
 def wrapper_json(env: gym.Env) -> dict[str, Any]:

@@ -13,7 +13,13 @@ from esc_agents import files
 from esc_agents.config import TrainConfig, config_for_env
 from esc_agents.driving import experts
 from esc_agents.driving.checks import check_env
-from esc_agents.driving.environments import MEANING, actions, env_config, wrapper_json
+from esc_agents.driving.environments import (
+    MEANING,
+    actions,
+    env_config,
+    other_meaning,
+    wrapper_json,
+)
 from esc_agents.driving.episodes import (
     Episode,
     Summary,
@@ -140,13 +146,14 @@ def _elsewhere(
         }
     )
     probe = check_env(there)
-    found = {**wrapper_json(probe), "actions": _actions(there)}
-    for name, wanted in {**learned(run_dir), "actions": _actions(config)}.items():
-        if (here := json.loads(json.dumps(found[name]))) != wanted:
-            raise UserError(
-                f"{env or config.env}: expected {flow({name: wanted})}, as in training, got "
-                f"{flow({name: here})}; only a run of its own can learn that"
-            )
+    what = other_meaning(wrapper_json(probe), learned(run_dir))
+    if not what and (does := _actions(there)) != (learned_to := _actions(config)):
+        what = f"actions {flow(learned_to)} there and {flow(does)} here"
+    if what:
+        raise UserError(
+            f"{env or config.env}: expected what the run has learned, got {what}; only a run of "
+            "its own can learn that"
+        )
     try:
         adapt(getattr(model, "policy", model), probe)
     except ValueError as error:

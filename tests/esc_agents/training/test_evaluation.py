@@ -112,15 +112,15 @@ def test_sac_in_other_traffic_wins_over_its_own_preset(sac_run, call):
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        (["--env", "roundabout"], "roundabout: expected {ego_features: ["),
+        (["--env", "roundabout"], "learned, got ego_features [] there and [dest_x, dest_y] here"),
         (["--env", "nowhere"], "env: unknown environment or scenario 'nowhere'"),
         (["--env-config", "{vehicle_count: 3}"], "unknown key 'vehicle_count'; did you mean"),
         (["--env-config", "3"], "env_config Input should be a valid dictionary (got 3)"),
         (["--env-config", "{action: {type: ContinuousAction}}"],
-         "as in training, got {actions: {type: ContinuousAction, longitudinal: true"),
+         "there and {type: ContinuousAction, longitudinal: true, lateral: true} here"),
         (["--env-config", "{action: {lateral: false}}"],
-         "expected {actions: {type: DiscreteMetaAction, longitudinal: true, lateral: true}}, as "
-         "in training, got {actions: {type: DiscreteMetaAction, longitudinal: true, lateral: f"),
+         "got actions {type: DiscreteMetaAction, longitudinal: true, lateral: true} there and "
+         "{type: DiscreteMetaAction, longitudinal: true, lateral: false} here"),
     ],
 )  # fmt: skip
 def test_traffic_that_the_policy_has_not_learned(ppo_run, call, args, words):
