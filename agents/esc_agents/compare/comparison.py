@@ -11,7 +11,7 @@ from typing import Any
 from esc_agents.compare import store
 from esc_agents.compare.analysis import tuning_scores
 from esc_agents.compare.engines import Engine
-from esc_agents.compare.estimate import cost
+from esc_agents.compare.estimate import costs
 from esc_agents.compare.grid import (
     Candidate,
     Cell,
@@ -56,6 +56,14 @@ class Plan:
     def steps(self, cell: Cell) -> int:
         """Training steps of a run."""
         return run_config(self.config, cell, self.slots[cell.env]).steps
+
+    def length(self, cell: Cell) -> str:
+        """The same for a table: with a data set, labels beside those in it."""
+        steps, config = self.steps(cell), self.config
+        if config.learn != "imitate" or not config.imitate.get("data"):
+            return f"{steps:,}"
+        more = steps - imitate_config(config, cell, self.slots[cell.env]).labels
+        return f"its data + {more:,}" if more else "its data"
 
     def jobs(self, cells: Sequence[Cell]) -> list[Job]:
         """What trains them."""
@@ -151,7 +159,10 @@ def dry_run(config: CompareConfig, out: Path, workers: int, trust: bool = False)
     store.check_folder(out)
     planned = plan(config, trust)
     check_sources(planned, out)
-    rows = [["", "N", "Z", "tuning runs", "runs", "finished", "steps each"]]
+    for env in config.env:
+        store.check_task(out, config, env, trust)
+    unit = "labels" if config.learn == "imitate" else "steps"
+    rows = [["", "N", "Z", "tuning runs", "runs", "finished", f"{unit} each"]]
     for env, repr in product(config.env, config.repr):
         tuning, study = (
             [cell for cell in cells if (cell.env, cell.repr) == (env, repr)]
@@ -160,20 +171,20 @@ def dry_run(config: CompareConfig, out: Path, workers: int, trust: bool = False)
         finished = len(study) - len(unfinished(study, out, trust))
         slots = planned.slots[env] if issubclass(representation(repr), APEncoder) else ""
         sizes = (planned.vehicles[env], slots, len(tuning), len(study), finished)
-        rows.append([f"{env} {repr}", *map(str, sizes), f"{planned.steps(study[0]):,}"])
+        rows.append([f"{env} {repr}", *map(str, sizes), planned.length(study[0])])
     show(terminal(rows, "Grid"))
     if config.learn == "imitate":
         say("Imitation: how long an expert takes is not estimated.")
         return
     seconds, memory = 0.0, 0
     for env in config.env:
-        cells = [cell for cell in [*planned.tuning, *planned.study] if cell.env == env]
-        cells = unfinished(cells, out, trust)
-        if cells:
-            found = cost(train_config(config, cells[0], planned.slots[env]))
-            say(
-                f"{env}: {found.steps:,.0f} training steps/s, {found.memory / 2**20:,.0f} MiB a run"
-            )
+        todo: dict[str, list[Cell]] = {}
+        for cell in unfinished([*planned.tuning, *planned.study], out, trust):
+            if cell.env == env:
+                todo.setdefault(cell.repr, []).append(cell)
+        runs = [train_config(config, cells[0], planned.slots[env]) for cells in todo.values()]
+        for (repr, cells), found in zip(todo.items(), costs(runs) if runs else [], strict=True):
+            say(f"{env} {repr}: {found.steps:,.0f} training steps/s")
             seconds += sum(map(planned.steps, cells)) / found.steps
             memory = max(memory, found.memory)
     say(

@@ -1,10 +1,11 @@
-"""What a comparison will cost, from a short training of each of its scenarios on this machine."""
+"""What a comparison will cost, from short trainings on this machine."""
 
 from __future__ import annotations
 
 import resource
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,16 +19,16 @@ LEAST_SECONDS = 2.0
 
 @dataclass(frozen=True)
 class Cost:
-    """steps: training steps a second, evaluations not counted; memory: of one process [bytes]."""
+    """steps: training steps a second, evaluations not counted; memory: of the process [bytes]."""
 
     steps: float
     memory: int
 
 
-def cost(config: TrainConfig) -> Cost:
-    """Measured in a process of its own, whose memory is that of a training run."""
+def costs(configs: Sequence[TrainConfig]) -> list[Cost]:
+    """Measured one after the other in a process of their own: its memory is the largest so far."""
     with SPAWN.Pool(1) as pool:
-        return pool.apply(_cost, (config,))
+        return pool.map(_cost, configs, chunksize=1)
 
 
 def _cost(config: TrainConfig) -> Cost:

@@ -176,22 +176,33 @@ def check_folder(out: Path) -> None:
 
 def begin_task(out: Path, config: CompareConfig, env: str, trust: bool = False) -> None:
     """Note what all runs of a scenario share. Raises UserError where it is not what it was."""
-    folder = out / task_name(env, config.way)
-    path = folder / "task.yaml"
-    asked = {"env": env, "algo": config.way, **config.fixed()}
-    asked["transfer"] = config.transfer.get(env, {})
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        text = f"# mac: {strangers.BLANK}\n{yaml_text.dump(asked)}"
-        files.write_text(path, strangers.signed(text))
+    if check_task(out, config, env, trust):
         return
-    found = task_settings(folder, trust)
+    path = out / task_name(env, config.way) / "task.yaml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = f"# mac: {strangers.BLANK}\n{yaml_text.dump(_shared(config, env))}"
+    files.write_text(path, strangers.signed(text))
+
+
+def _shared(config: CompareConfig, env: str) -> dict[str, Any]:
+    """What all runs of a scenario share."""
+    transfer = config.transfer.get(env, {})
+    return {"env": env, "algo": config.way, **config.fixed(), "transfer": transfer}
+
+
+def check_task(out: Path, config: CompareConfig, env: str, trust: bool = False) -> bool:
+    """Whether a scenario is begun. Raises UserError where it was begun with other settings."""
+    path = out / task_name(env, config.way) / "task.yaml"
+    if not path.exists():
+        return False
+    found, asked = task_settings(path.parent, trust), _shared(config, env)
     for key in {**found, **asked}:
         if found.get(key) != asked.get(key):
             raise UserError(
                 f"{path}: begun with {key}={found.get(key)!r}, now asked for with "
                 f"{asked.get(key)!r}; ask for the same, or give another --out"
             )
+    return True
 
 
 def task_settings(folder: Path, trust: bool = False) -> dict[str, Any]:

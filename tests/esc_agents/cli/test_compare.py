@@ -51,7 +51,8 @@ def test_from_nothing_to_a_report(compare, monkeypatch):
 def test_a_dry_run_trains_nothing(compare):
     code, out, err = compare("--config", "tiny.yaml", "--dry-run", "--seeds", "3")
     assert (code, err) == (0, "")
-    assert "training steps/s" in out
+    assert [f"{ENV} {name}: " in out for name in ("esc", "fp")] == [True, True]
+    assert out.count("training steps/s") == 2
     assert "Memory" in out
     (row,) = [line for line in out.splitlines() if " fp " in line]
     # N, Z, tuning runs, runs, finished, steps

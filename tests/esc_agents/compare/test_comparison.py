@@ -154,6 +154,8 @@ def test_what_is_left_of_a_run_that_never_began_is_in_nobodys_way(own, compared)
 def test_other_settings_are_refused(own):
     with pytest.raises(UserError, match=r"begun with steps=32, now asked for with 64"):
         compare(small(steps=64), own, HereEngine())
+    with pytest.raises(UserError, match=r"begun with steps=32, now asked for with 64"):
+        dry_run(small(steps=64), own, workers=1)
 
 
 def test_slots_are_declared():
