@@ -177,13 +177,12 @@ def dry_run(config: CompareConfig, out: Path, workers: int, trust: bool = False)
         say("Imitation: how long an expert takes is not estimated.")
         return
     seconds, memory = 0.0, 0
-    for env in config.env:
-        todo: dict[str, list[Cell]] = {}
-        for cell in unfinished([*planned.tuning, *planned.study], out, trust):
-            if cell.env == env:
-                todo.setdefault(cell.repr, []).append(cell)
-        runs = [train_config(config, cells[0], planned.slots[env]) for cells in todo.values()]
-        for (repr, cells), found in zip(todo.items(), costs(runs) if runs else [], strict=True):
+    todo: dict[str, dict[str, list[Cell]]] = {}
+    for cell in unfinished([*planned.tuning, *planned.study], out, trust):
+        todo.setdefault(cell.env, {}).setdefault(cell.repr, []).append(cell)
+    for env, missing in todo.items():
+        runs = [train_config(config, cells[0], planned.slots[env]) for cells in missing.values()]
+        for (repr, cells), found in zip(missing.items(), costs(runs), strict=True):
             say(f"{env} {repr}: {found.steps:,.0f} training steps/s")
             seconds += sum(map(planned.steps, cells)) / found.steps
             memory = max(memory, found.memory)
