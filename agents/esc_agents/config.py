@@ -17,12 +17,12 @@ from pydantic import (
     PositiveFloat,
     PositiveInt,
     ValidationError,
+    field_validator,
 )
-from tyro.constructors import PrimitiveConstructorSpec
 
 from esc_agents import strangers, yaml_text
 from esc_agents.errors import UserError
-from esc_agents.yaml_text import flow, parse
+from esc_agents.yaml_text import YAML_ARGUMENT, Mapping, parse
 from esc_gym.features import DEFAULT_FEATURES
 from esc_gym.registration import ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
 
@@ -37,24 +37,8 @@ NOUNS = {
 """Kinds of configurations, and what one of each is called."""
 
 
-def _from_yaml(words: list[str]) -> Any:
-    try:
-        return parse(words[0])
-    except yaml.YAMLError as error:
-        raise ValueError(f"expected YAML such as '{{key: value}}', got {words[0]!r}") from error
-
-
-# On the command line a mapping is one YAML argument: --env-config '{lanes_count: 3}'.
-_YamlArgument = PrimitiveConstructorSpec(
-    nargs=1,
-    metavar="YAML",
-    instance_from_str=_from_yaml,
-    is_instance=lambda value: isinstance(value, dict),
-    str_from_instance=lambda value: [flow(value)],
-)
 M = TypeVar("M", bound=BaseModel)
-Mapping = Annotated[dict[str, Any], _YamlArgument]
-Ranges = Annotated[dict[str, tuple[float, float]], _YamlArgument]
+Ranges = Annotated[dict[str, tuple[float, float]], YAML_ARGUMENT]
 
 
 class Model(BaseModel):
@@ -93,6 +77,13 @@ class ObservationConfig(Model):
     """Simulate with compiled code, on the same trajectories."""
 
 
+ENCODER_FIELDS = {
+    "representation", "hidden", "code_dim", "match_parameters",
+    "observation_space", "vehicle_dim", "ego_dim", "max_vehicles",
+}  # fmt: skip
+"""Arguments of a SetExtractor or SetEncoder that other fields of a configuration say."""
+
+
 class EncoderConfig(Model):
     """The features extractor."""
 
@@ -104,6 +95,16 @@ class EncoderConfig(Model):
     """False: every representation takes `hidden` as it is."""
     arguments: Mapping = {}
     """Further arguments of the encoder class, e.g. {scale: 0.1} or {slots: 15}."""
+
+    @field_validator("arguments")
+    @classmethod
+    def _further(cls, arguments: dict[str, Any]) -> dict[str, Any]:
+        if taken := sorted(arguments.keys() & ENCODER_FIELDS):
+            raise ValueError(
+                "expected what only the encoder class has; --repr, the observation and the other "
+                f"fields of encoder say {', '.join(taken)}"
+            )
+        return arguments
 
 
 class ContinuousConfig(Model):

@@ -1,11 +1,15 @@
-"""YAML as people write it: 1e-3 is a number, as in YAML 1.2, which PyYAML alone takes for text."""
+"""YAML as people write it, in files and on the command line: there 1e-3 is a number.
+
+As in YAML 1.2; PyYAML alone takes it for text.
+"""
 
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Annotated, Any
 
 import yaml
+from tyro.constructors import PrimitiveConstructorSpec
 
 
 class _Loader(yaml.SafeLoader):
@@ -26,7 +30,10 @@ for _each in (_Loader, _Dumper):
 
 def parse(text: str) -> Any:
     """The value of a YAML text. Raises yaml.YAMLError."""
-    return yaml.load(text, _Loader)  # a SafeLoader: nothing of the text runs
+    try:
+        return yaml.load(text, _Loader)  # a SafeLoader: nothing of the text runs
+    except ValueError as error:  # of a scalar that only looks like one: 2020-13-45
+        raise yaml.YAMLError(str(error)) from error
 
 
 def dump(value: Any) -> str:
@@ -38,3 +45,24 @@ def flow(value: Any) -> str:
     """YAML on one line."""
     text = yaml.dump(value, Dumper=_Dumper, default_flow_style=True, sort_keys=False, width=10**6)
     return text.strip().removesuffix("\n...")  # YAML's end of a bare number or word
+
+
+def _from_yaml(words: list[str]) -> Any:
+    try:
+        return parse(words[0])
+    except yaml.YAMLError as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(
+            f"expected YAML such as '{{key: value}}', got {words[0]!r}: {reason}"
+        ) from error
+
+
+# On the command line a mapping is one YAML argument: --env-config '{lanes_count: 3}'.
+YAML_ARGUMENT = PrimitiveConstructorSpec(
+    nargs=1,
+    metavar="YAML",
+    instance_from_str=_from_yaml,
+    is_instance=lambda value: isinstance(value, dict),
+    str_from_instance=lambda value: [flow(value)],
+)
+Mapping = Annotated[dict[str, Any], YAML_ARGUMENT]

@@ -43,8 +43,8 @@ class SetEncoder(nn.Module):
         super().__init__()
         if unknown:
             raise TypeError(
-                f"{type(self).__name__}: expected arguments among {', '.join(_arguments(self))}, "
-                f"got {', '.join(unknown)}"
+                f"{type(self).__name__} takes {', '.join(_options(type(self)))}; got "
+                f"{', '.join(unknown)}"
             )
         self.hidden = tuple(hidden)
         if not self.hidden:
@@ -97,12 +97,12 @@ class SetEncoder(nn.Module):
                 )
 
 
-def _arguments(encoder: SetEncoder) -> list[str]:
-    """What an encoder's class, and those that it derives from, are made with."""
-    makers = [cls.__init__ for cls in type(encoder).__mro__ if issubclass(cls, SetEncoder)]
+def _options(encoder: type[SetEncoder]) -> list[str]:
+    """Arguments that an encoder, or a class that it derives from, has a default for."""
+    makers = [cls.__init__ for cls in encoder.__mro__ if "__init__" in vars(cls)]
     return [
         name for maker in makers for name, parameter in inspect.signature(maker).parameters.items()
-        if parameter.kind is parameter.KEYWORD_ONLY
+        if parameter.default is not parameter.empty
     ]  # fmt: skip
 
 

@@ -87,6 +87,12 @@ def test_dump_reads_back_equal(config, tmp_path):
         ("- env", "expected keys and values, got list"),
         ("", "expected keys and values, got NoneType"),
         ("env: [", "not readable as YAML"),
+        ("env_config: {a: 2020-13-45}", "not readable as YAML: month must be in 1..12"),
+        ("env_config: {a: 0x_}", "not readable as YAML"),
+        (
+            "encoder: {arguments: {representation: fp, hidden: [3], scale: 2}}",
+            r"encoder.arguments: .*only the encoder class has; .* say hidden, representation",
+        ),
         ("env: !!python/object/apply:os.getcwd []", "not readable as YAML"),
     ],
 )

@@ -11,9 +11,10 @@ from pydantic import BaseModel, ConfigDict, PositiveInt
 
 from esc_agents import pretrained
 from esc_agents.cli import Trust, guarded, parse
-from esc_agents.config import Mapping, Seed
+from esc_agents.config import Seed
 from esc_agents.driving.planner_config import PlannerConfig
 from esc_agents.errors import UserError
+from esc_agents.yaml_text import Mapping
 
 PROGRAM = "esc-eval"
 

@@ -31,7 +31,7 @@ from esc_agents.compare.progress import run_jobs
 from esc_agents.compare.report import write_report
 from esc_agents.driving.checks import check
 from esc_agents.errors import UserError, say
-from esc_agents.imitation import datasets
+from esc_agents.imitation.imitate import read_data
 from esc_agents.pretrained import run_of
 from esc_agents.reporting.tables import show, terminal
 from esc_agents.training.run_directory import finished, locked, note_command
@@ -91,11 +91,14 @@ def plan(config: CompareConfig, trust: bool = False) -> Plan:
 
 def check_sources(planned: Plan, out: Path) -> None:
     """Raises UserError where what a run that is still to be done begins with is not there."""
-    config = planned.config
+    config, seen = planned.config, set()
     for cell in unfinished([*planned.tuning, *planned.study], out, planned.trust):
         slots = planned.slots[cell.env]
-        if config.learn == "imitate" and (data := imitate_config(config, cell, slots).data):
-            datasets.check_there(data)
+        data = imitate_config(config, cell, slots).data if config.learn == "imitate" else None
+        if data and (cell.env, data) not in seen:
+            seen.add((cell.env, data))
+            run = run_config(config, cell, slots)
+            read_data(data, run, check(run))
         for source in sources(config, cell, slots):
             if not finished(run_of(source)):
                 why = "; tuning has seeds of its own: leave it out, tuning.seeds 0" * cell.tuning

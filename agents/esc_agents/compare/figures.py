@@ -94,7 +94,14 @@ def improvement(tasks: Sequence[Task]) -> Figure:
         for (mine, rival), better in pairs.items():
             place = rivals.index(rival) + 0.3 * (ours.index(mine) - (len(ours) - 1) / 2)
             hue = plots.color(mine)
-            axes.plot([better.low, better.high], [place] * 2, color=hue, linewidth=4, alpha=0.35)
+            axes.plot(
+                [better.low, better.high],
+                [place] * 2,
+                color=hue,
+                linewidth=4,
+                alpha=0.35,
+                solid_capstyle="butt",
+            )
             axes.plot(better.value, place, "o", color=hue, markersize=5, clip_on=False, label=mine)
         axes.axvline(0.5, color=plots.GREY, linewidth=1, linestyle="--")
         axes.set_yticks(range(len(rivals)), [f"over {rival}" for rival in rivals], fontsize=9)

@@ -19,7 +19,6 @@ from pydantic import (
 
 from esc_agents.config import (
     Algorithm,
-    Mapping,
     Model,
     TrainConfig,
     config_for_env,
@@ -28,6 +27,7 @@ from esc_agents.config import (
 )
 from esc_agents.errors import UserError
 from esc_agents.imitation.settings import ImitateConfig
+from esc_agents.yaml_text import Mapping
 from esc_gym.encoders import APEncoder, representation
 from esc_gym.registration import merge
 

@@ -12,6 +12,7 @@ import torch
 from esc_agents.config import TrainConfig, check_env_id
 from esc_agents.driving.environments import check_actions, in_training, make_env
 from esc_agents.errors import UserError
+from esc_agents.yaml_text import flow
 from esc_gym.encoders import representation
 from esc_gym.extractors import SetExtractor
 
@@ -26,7 +27,7 @@ def check(config: TrainConfig) -> gym.Env:
     env = check_env(config)
     if config.hyperparameters.train_env_config:
         _check_training(config, env)
-    with _explained("encoder"):
+    with _explained(f"{config.env}: encoder {flow(config.encoder.arguments)}"):
         _try_encoder(config, env)
     if config.hyperparameters.use_sde and isinstance(env.action_space, gym.spaces.Discrete):
         raise UserError(

@@ -136,10 +136,11 @@ MEANING = ("features", "ego_features", "frame", "perception_distance", "ranges",
 """What of ``wrapper_json`` weights depend on."""
 
 
-def other_meaning(here: dict[str, Any], there: dict[str, Any]) -> str:
+def other_meaning(here: dict[str, Any], there: dict[str, Any], where: str = "there") -> str:
     """In what two ``wrapper_json``, one of them from a file, differ for weights; "" if in nothing.
 
     For messages: "KEY ITS VALUE there and ITS VALUE here", of long values only what differs.
+    where: what "there" is called.
     """
     mine = json.loads(json.dumps(here))
     for key in MEANING:
@@ -147,7 +148,7 @@ def other_meaning(here: dict[str, Any], there: dict[str, Any]) -> str:
             pair = there.get(key), mine[key]
             apart = _without(*pair), _without(*reversed(pair))
             theirs, ours = apart if any(apart) else pair  # if in nothing, then in their order
-            return f"{key} {flow(theirs)} there and {flow(ours)} here"
+            return f"{key} {flow(theirs)} {where} and {flow(ours)} here"
     return ""
 
 

@@ -124,9 +124,13 @@ def _labellers(
     if config.expert:
         expert = expert_of(config.expert, config.planner, run, trust, free=1)
     if config.data:
-        count = int(getattr(probe.action_space, "n", 0))
-        given = datasets.read(config.data, wrapper_json(probe), count, run)
+        given = read_data(config.data, run, probe)
     return expert, given
+
+
+def read_data(path: Path, run: TrainConfig, probe: Any) -> list[Drive]:
+    """What a run learns from. probe: one of its environments. Raises UserError as ``read``."""
+    return datasets.read(path, wrapper_json(probe), int(getattr(probe.action_space, "n", 0)), run)
 
 
 @dataclass

@@ -9,7 +9,6 @@ from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from esc_agents.config import (
     EncoderConfig,
-    Mapping,
     Model,
     ObservationConfig,
     Probability,
@@ -18,6 +17,7 @@ from esc_agents.config import (
     config_for_env,
 )
 from esc_agents.driving.planner_config import PlannerConfig
+from esc_agents.yaml_text import Mapping
 from esc_gym.registration import merge
 
 Loss = Literal["values", "cross-entropy", "regret"]

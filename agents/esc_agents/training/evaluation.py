@@ -146,9 +146,9 @@ def _elsewhere(
         }
     )
     probe = check_env(there)
-    what = other_meaning(wrapper_json(probe), learned(run_dir))
+    what = other_meaning(wrapper_json(probe), learned(run_dir), "in training")
     if not what and (does := _actions(there)) != (learned_to := _actions(config)):
-        what = f"actions {flow(learned_to)} there and {flow(does)} here"
+        what = f"actions {flow(learned_to)} in training and {flow(does)} here"
     if what:
         raise UserError(
             f"{env or config.env}: expected what the run has learned, got {what}; only a run of "

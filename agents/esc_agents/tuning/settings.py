@@ -9,7 +9,6 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 from esc_agents.compare.grid import OWN, TUNING_EPISODES, TUNING_SEED, changed
 from esc_agents.config import (
     Algorithm,
-    Mapping,
     Model,
     Seed,
     TrainConfig,
@@ -17,6 +16,7 @@ from esc_agents.config import (
     with_algorithm,
 )
 from esc_agents.errors import UserError
+from esc_agents.yaml_text import Mapping
 
 EVALUATIONS = 10  # of each run, at equal distances
 Parameters = dict[str, Any]

@@ -42,7 +42,7 @@ no driver for a road. Steps: of
 training, or labels "by imitation". Minutes: of one run, measured.
 
     esc-eval --pretrained NAME
-    esc-train --env SCENARIO --start-from zoo:NAME    # of NAME-attention: and --repr attention
+    esc-train --env SCENARIO --start-from zoo:NAME    # NAME-attention: --repr attention
 """
 CARD = """# {name}
 

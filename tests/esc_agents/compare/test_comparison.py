@@ -236,6 +236,9 @@ def test_learning_from_a_data_set_of_each_scenario(tmp_path, monkeypatch):
         train={"env_config": ROAD, "observation": changed,
                "encoder": {"hidden": (8,), "code_dim": 200}},
     )  # fmt: skip
+    denser = config.train | {"env_config": ROAD | {"vehicles_count": 9}}
+    with pytest.raises(UserError, match=r"data .*: expected sets of up to N=9 vehicles, got N=6"):
+        dry_run(config.model_copy(update={"train": denser}), tmp_path / "denser", workers=1)
     compare(config, tmp_path / "out", HereEngine())
     runs = store.results(tmp_path / "out" / f"{ENV}-imitation")
     labels = {tuple(run.curve["timesteps"]) for run in runs}

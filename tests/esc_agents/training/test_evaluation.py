@@ -112,15 +112,14 @@ def test_sac_in_other_traffic_wins_over_its_own_preset(sac_run, call):
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        (["--env", "roundabout"], "learned, got ego_features [] there and [dest_x, dest_y] here"),
+        (["--env", "roundabout"], "got ego_features [] in training and [dest_x, dest_y] here"),
         (["--env", "nowhere"], "env: unknown environment or scenario 'nowhere'"),
         (["--env-config", "{vehicle_count: 3}"], "unknown key 'vehicle_count'; did you mean"),
         (["--env-config", "3"], "env_config Input should be a valid dictionary (got 3)"),
         (["--env-config", "{action: {type: ContinuousAction}}"],
-         "there and {type: ContinuousAction, longitudinal: true, lateral: true} here"),
+         "in training and {type: ContinuousAction, longitudinal: true, lateral: true} here"),
         (["--env-config", "{action: {lateral: false}}"],
-         "got actions {type: DiscreteMetaAction, longitudinal: true, lateral: true} there and "
-         "{type: DiscreteMetaAction, longitudinal: true, lateral: false} here"),
+         "lateral: true} in training and {type: DiscreteMetaAction, longitudinal: true, lat"),
     ],
 )  # fmt: skip
 def test_traffic_that_the_policy_has_not_learned(ppo_run, call, args, words):

@@ -285,9 +285,8 @@ def test_ctrl_c_saves_the_model_and_says_how_to_go_on(tmp_path, monkeypatch, cap
         ),
         (
             {"encoder": {"arguments": {"scala": 1}}},
-            r"encoder: .*: expected arguments among .*scale, got scala",
+            r"-v0: encoder \{scala: 1\}: .* takes .*scale; got scala",
         ),
-        ({"encoder": {"arguments": {"vehicle_dim": 3}}}, "vehicles: expected shape"),
         ({"encoder": {"hidden": ()}}, "hidden: expected at least one width"),
         ({"observation": {"features": ("x", "z")}}, r"expected distinct names .* got \['z'\]"),
         ({"observation": {"ranges": {"x": (1, 0)}}}, "low < high"),

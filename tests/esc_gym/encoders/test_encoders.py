@@ -137,8 +137,23 @@ def test_wrong_settings_are_refused(name, kwargs, message):
 
 
 def test_unknown_settings_are_refused():
-    with pytest.raises(TypeError, match=r"AttentionEncoder: .* heads, .* scale, got sharpness, z$"):
+    with pytest.raises(TypeError, match=r"Encoder takes heads, hidden, .*scale; got sharpness, z$"):
         build("attention", sharpness=1, heads=1, z=3)
+
+
+def test_what_encoders_of_others_take_is_said():
+    class Plain(ESCEncoder):
+        pass
+
+    class Powers(Plain):
+        def __init__(self, power=2.0, **dims):
+            super().__init__(**dims)
+
+    dims = {"vehicle_dim": 3, "ego_dim": 2, "max_vehicles": 4}
+    with pytest.raises(TypeError, match=r"^Plain takes hidden, code_dim, scale; got powr$"):
+        Plain(**dims, powr=1)
+    with pytest.raises(TypeError, match=r"^Powers takes power, hidden, code_dim, scale; got powr$"):
+        Powers(**dims, powr=1)
 
 
 def test_representation_by_name_and_by_path():
