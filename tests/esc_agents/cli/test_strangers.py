@@ -75,7 +75,7 @@ def folder(tmp_path, ppo_run, compared, mark, call, monkeypatch):
         Path("paper/cells"), results.Result(PAPER, 1, [Point(1, {5: 1.0})], 1.0, {"device": "cpu"})
     )
     monkeypatch.setattr("esc_agents.compare.engines.LocalEngine", lambda _: HereEngine())
-    monkeypatch.setattr(comparison, "cost", lambda config: Cost(1.0, 1))
+    monkeypatch.setattr(comparison, "costs", lambda configs: [Cost(1.0, 1)] * len(configs))
     monkeypatch.setattr(films, "gif", lambda *_: b"GIF89a")
     return tmp_path
 
@@ -118,11 +118,11 @@ CASES = {
     "eval, repr": Case(evaluate, EVAL, "run/config.yaml", ("repr",), NET, False),
     "eval, env": Case(evaluate, EVAL, "run/config.yaml", ("env",), "evilmod:x-v0", False, -1),
     "eval, continuous": Case(evaluate, EVAL, "run/config.yaml", CONTINUOUS, CAR, False),
-    "eval, arguments": Case(evaluate, EVAL, "run/config.yaml", ARGUMENTS, NET, False),
+    "eval, arguments": Case(evaluate, EVAL, "run/config.yaml", ARGUMENTS, NET, False, 2),
     "resume, repr": Case(train, RESUME, "run/config.yaml", ("repr",), NET, True),
     "resume, cars": Case(train, RESUME, "run/config.yaml", CARS, CAR, True),
     "train, repr": Case(train, TRAIN, "train.yaml", ("repr",), NET, True),
-    "train, arguments": Case(train, TRAIN, "train.yaml", ARGUMENTS, NET, True),
+    "train, arguments": Case(train, TRAIN, "train.yaml", ARGUMENTS, NET, False, 2),
     "train, cars": Case(train, TRAIN, "train.yaml", CARS, CAR, True),
     "train, continuous": Case(
         train, "--config sac.yaml --run-dir new --steps 16", "sac.yaml", CONTINUOUS, CAR, True
@@ -133,7 +133,7 @@ CASES = {
     "learning": Case(learning, "--runs run --out l.md", "run/config.yaml", CARS, CAR, False),
     "compare, repr": Case(compare, DRY, "compare.yaml", ("repr", 0), NET, True),
     "compare, cars": Case(compare, DRY, "compare.yaml", ("train", *CARS), CAR, True),
-    "compare, arguments": Case(compare, DRY, "compare.yaml", ("train", *ARGUMENTS), NET, True),
+    "compare, arguments": Case(compare, DRY, "compare.yaml", ("train", *ARGUMENTS), NET, False, 2),
     "compare, transfer": Case(
         compare, DRY, "compare.yaml", ("transfer", ENV, "x", CARS[1]), CAR, True
     ),

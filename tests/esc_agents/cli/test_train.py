@@ -136,7 +136,7 @@ BAD_TRAIN = {
     ),
     "device": (["--device", "abacus"], "got 'abacus'"),
     "no code": (["--encoder.code-dim", "0"], "encoder.code_dim"),
-    "encoder argument": (["--encoder.arguments", "{scala: 1}"], "'scala'"),
+    "encoder argument": (["--encoder.arguments", "{scala: 1}"], "scale; got scala"),
     "batch size": (["--ppo.batch-size", "64"], "at most n_steps * n_envs = 16, got 64"),
     "env_config no mapping": (["--env-config", "3"], "dictionary"),
     "env_config no YAML": (["--env-config", "{"], "expected YAML"),
