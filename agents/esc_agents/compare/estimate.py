@@ -26,7 +26,7 @@ class Cost:
 
 
 def costs(configs: Sequence[TrainConfig]) -> list[Cost]:
-    """Measured one after the other in a process of their own: its memory is the largest so far."""
+    """Measured one after the other in a process of their own, whose memory is of all so far."""
     with SPAWN.Pool(1) as pool:
         return pool.map(_cost, configs, chunksize=1)
 

@@ -27,7 +27,8 @@ def check(config: TrainConfig) -> gym.Env:
     env = check_env(config)
     if config.hyperparameters.train_env_config:
         _check_training(config, env)
-    with _explained(f"{config.env}: encoder {flow(config.encoder.arguments)}"):
+    given = config.encoder.arguments
+    with _explained(f"{config.env}: encoder{f' {flow(given)}' if given else ''}"):
         _try_encoder(config, env)
     if config.hyperparameters.use_sde and isinstance(env.action_space, gym.spaces.Discrete):
         raise UserError(
