@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any, NoReturn, TypeVar
 
 import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from esc_agents.errors import UserError
 
@@ -23,6 +24,31 @@ Trust = Annotated[
         "of modules outside esc_gym and highway_env."
     ),
 ]
+
+_RULES = ConstructorRegistry()
+
+
+@_RULES.primitive_rule
+def _whole_numbers(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[int] | None:
+    """--steps 1e6 is a million, as in the YAML files."""
+    if info.type is not int:
+        return None
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="INT",
+        instance_from_str=lambda words: _whole(words[0]),
+        is_instance=lambda value: type(value) is int,
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+def _whole(word: str) -> int:
+    with contextlib.suppress(ValueError):
+        return int(word)
+    with contextlib.suppress(ValueError):
+        if (number := float(word)).is_integer():
+            return int(number)
+    raise ValueError(f"expected a whole number, got {word!r}")
 
 
 def exit_with(program: str, message: str) -> NoReturn:
@@ -55,8 +81,9 @@ def parse(program: str, type_: type[T], args: Sequence[str], default: Any = None
             if not {"-h", "--help"} & set(args):
                 os.environ["COLUMNS"] = "10000"  # no line breaks inside a message
             return tyro.cli(
-                type_, prog=program, args=list(args), config=(tyro.conf.AvoidSubcommands,), **extra
-            )
+                type_, prog=program, args=list(args), config=(tyro.conf.AvoidSubcommands,),
+                registry=_RULES, **extra,
+            )  # fmt: skip
     except SystemExit as end:
         if end.code in (0, None):
             raise

@@ -47,6 +47,12 @@ def parsed(monkeypatch, *args):
     return configs[0]
 
 
+@pytest.mark.parametrize("word", ["1e6", "1000000", "1_000_000", "1000000.0"])
+def test_a_million_steps_is_written_as_people_write_it(monkeypatch, word):
+    config = parsed(monkeypatch, "--steps", word, "--evaluation.every", word)
+    assert (config.steps, config.evaluation.every) == (1_000_000, 1_000_000)
+
+
 def test_flags_override_the_scenario(monkeypatch):
     config = parsed(
         monkeypatch, "--env", "highway-dense", "--observation.max-vehicles", "7", "--seed", "3",
@@ -120,7 +126,9 @@ BAD_TRAIN = {
     "existing directory": (["--run-dir", "list.yaml"], "already exists"),
     "directory in a file": (["--run-dir", "list.yaml/run"], "no directory can be made"),
     "no steps": (["--steps", "0"], "greater than 0 (got 0)"),
-    "word for a number": (["--steps", "many"], "'many'"),
+    "word for a number": (["--steps", "many"], "expected a whole number, got 'many'"),
+    "half a step": (["--steps", "1.5e0"], "expected a whole number, got '1.5e0'"),
+    "endless": (["--steps", "inf"], "expected a whole number, got 'inf'"),
     "missing value": (["--steps"], "Missing value"),
     "missing scenario": (["--env"], "expected one argument"),
     "negative n_envs": (["--n-envs", "-1"], "n_envs"),
