@@ -9,6 +9,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
+from decimal import Decimal
 from typing import Annotated, Any, NoReturn, TypeVar
 
 import tyro
@@ -43,12 +44,11 @@ def _whole_numbers(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[int] | N
 
 
 def _whole(word: str) -> int:
-    with contextlib.suppress(ValueError):
-        return int(word)
-    with contextlib.suppress(ValueError):
-        if (number := float(word)).is_integer():
+    with contextlib.suppress(ArithmeticError, ValueError):
+        number = Decimal(word)  # exact, where a float would change 2**53 + 1
+        if abs(number) < 2**63 and number == int(number):
             return int(number)
-    raise ValueError(f"expected a whole number, got {word!r}")
+    raise ValueError(f"expected a whole number below 2^63, got {word!r}")
 
 
 def exit_with(program: str, message: str) -> NoReturn:
@@ -65,6 +65,8 @@ def guarded(program: str, command: Callable[[], int]) -> NoReturn:
         exit_with(program, str(error))
     except KeyboardInterrupt:
         code = 130
+    except MemoryError as error:
+        exit_with(program, f"not enough memory: {error or 'for what was asked'}; ask for less")
     except BrokenPipeError:  # `esc-train --help | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 141
@@ -122,5 +124,10 @@ def _one_line(framed: str) -> str:
     message = re.sub(r" ?For further information visit \S+", "", message)
     message = re.sub(r"Error parsing \w+Arguments: \d+ validation errors? for \w+ ", "", message)
     message = re.sub(r"Error parsing ([\w.]+): \d+ validation errors? for \w+ ", r"\1.", message)
+    message = re.sub(
+        r"no type matching \{None\}\|INT could be instantiated from \['(.*?)'\]",
+        r"expected a whole number below 2^63, or None, got '\1'",
+        message,
+    )
     guesses = [part.split()[3] for part in more if part.startswith("Perhaps you meant: ")]
     return f"{message}; did you mean {guesses[0]}?" if guesses else message

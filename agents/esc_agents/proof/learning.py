@@ -58,7 +58,7 @@ class Run:
         if not run_directory.finished(path):
             raise UserError(
                 f"{path} is no finished run: expected results.json and SHA256SUMS in it; finish "
-                f"it with esc-train --resume {path}"
+                f"it with {run_directory.resumed_by(path)}"
             )
         run_directory.verify(
             path, "results.json", "evaluations.npz", "metrics.csv", "versions.json"

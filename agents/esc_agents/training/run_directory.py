@@ -66,12 +66,18 @@ def create(
     return path
 
 
+def resumed_by(path: Path) -> str:
+    """The command that continues the run in ``path``."""
+    program = "esc-imitate" if (path / IMITATE).exists() else "esc-train"
+    return f"{program} --resume {path}"
+
+
 def check_free(path: Path) -> None:
     """Raises UserError where no directory can be made at ``path``."""
     if os.path.lexists(path):
         raise UserError(
-            f"run directory {path} already exists; continue that run with esc-train --resume "
-            f"{path}, or give another --run-dir"
+            f"run directory {path} already exists; continue that run with {resumed_by(path)}, or "
+            "give another --run-dir"
         )
     parent = next(folder for folder in path.absolute().parents if folder.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK):

@@ -53,7 +53,7 @@ def keep(run: Path, name: str) -> Path:
         raise UserError(f"name: expected words as in highway-dense, got {name!r}")
     config = run_directory.open_run(run)
     if not run_directory.finished(run):
-        raise UserError(f"{run} is not finished; continue it with esc-train --resume {run}")
+        raise UserError(f"{run} is not finished; continue it with {run_directory.resumed_by(run)}")
     run_directory.verify(run, *KEPT)
     folder = pretrained.folder() / name
     rmtree(folder, ignore_errors=True)

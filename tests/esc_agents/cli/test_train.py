@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from esc_agents.cli import _one_line, eval as eval_cli, train as train_cli
+from esc_agents.cli import _one_line, eval as eval_cli, guarded, train as train_cli
 from esc_agents.config import load_config
 from esc_agents.training.run_directory import open_run
 
@@ -47,7 +47,17 @@ def parsed(monkeypatch, *args):
     return configs[0]
 
 
-@pytest.mark.parametrize("word", ["1e6", "1000000", "1_000_000", "1000000.0"])
+def test_too_little_memory_is_one_line(capsys):
+    def command():
+        raise MemoryError("Unable to allocate 59.6 GiB")
+
+    with pytest.raises(SystemExit, match="2"):
+        guarded("esc-train", command)
+    said = "esc-train: not enough memory: Unable to allocate 59.6 GiB; ask for less\n"
+    assert capsys.readouterr().err == said
+
+
+@pytest.mark.parametrize("word", ["1e6", "1000000", "1_000_000", "1000000.0", "+1E+6"])
 def test_a_million_steps_is_written_as_people_write_it(monkeypatch, word):
     config = parsed(monkeypatch, "--steps", word, "--evaluation.every", word)
     assert (config.steps, config.evaluation.every) == (1_000_000, 1_000_000)
@@ -126,9 +136,11 @@ BAD_TRAIN = {
     "existing directory": (["--run-dir", "list.yaml"], "already exists"),
     "directory in a file": (["--run-dir", "list.yaml/run"], "no directory can be made"),
     "no steps": (["--steps", "0"], "greater than 0 (got 0)"),
-    "word for a number": (["--steps", "many"], "expected a whole number, got 'many'"),
-    "half a step": (["--steps", "1.5e0"], "expected a whole number, got '1.5e0'"),
-    "endless": (["--steps", "inf"], "expected a whole number, got 'inf'"),
+    "word for a number": (["--steps", "many"], "expected a whole number below 2^63, got 'many'"),
+    "half a step": (["--steps", "1.5e0"], "expected a whole number below 2^63, got '1.5e0'"),
+    "endless": (["--steps", "inf"], "expected a whole number below 2^63, got 'inf'"),
+    "far too many": (["--n-envs", "1e30"], "expected a whole number below 2^63, got '1e30'"),
+    "half an optional step": (["--evaluation.every", "1.5"], "below 2^63, or None, got '1.5'"),
     "missing value": (["--steps"], "Missing value"),
     "missing scenario": (["--env"], "expected one argument"),
     "negative n_envs": (["--n-envs", "-1"], "n_envs"),

@@ -222,9 +222,15 @@ def test_what_is_merged_in_training_only_is_in_no_evaluation(tmp_path):
 
 def test_an_existing_directory_is_refused_and_left_alone(ppo_run):
     before = {path: path.stat().st_mtime_ns for path in ppo_run.rglob("*")}
-    with pytest.raises(UserError, match="already exists; continue that run with"):
+    with pytest.raises(UserError, match="continue that run with esc-train --resume"):
         train(tiny(run_dir=ppo_run))
     assert {path: path.stat().st_mtime_ns for path in ppo_run.rglob("*")} == before
+
+
+def test_an_existing_directory_names_the_program_that_continues_it(tmp_path):
+    (tmp_path / "imitate.yaml").touch()
+    with pytest.raises(UserError, match=f"with esc-imitate --resume {tmp_path},"):
+        run_directory.check_free(tmp_path)
 
 
 def test_resume_goes_on(own_run):
