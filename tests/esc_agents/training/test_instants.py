@@ -20,9 +20,7 @@ from esc_agents.training.train import train
 from tests.esc_agents.instants import contents, photographed, restore
 from tests.esc_agents.tiny import SAC_RUN, tiny
 
-STEPS_OR_NONE = (
-    r"^\d+$|holds no policy yet|add --trust|killed between the two, and esc-train --resume"
-)
+STEPS_OR_NONE = r"^\d+$|holds no policy yet|add --trust|killed between the two, and --resume"
 
 
 def steps_of(run):
