@@ -246,7 +246,8 @@ def _read(folder: Path, name: str, trust: bool) -> tuple[PolicyDescription, dict
     if hashlib.sha256(weights).hexdigest() != description.sha256:
         raise UserError(
             f"{stored} does not match the checksum in {described.name}: it is damaged, or its run "
-            f"was killed between the two, and --resume {folder} writes them again"
+            f"was killed between the two, and esc-train or esc-imitate --resume "
+            f"{folder} writes them again"
         )
     strangers.check(described, data, description.encoder, trust)
     try:

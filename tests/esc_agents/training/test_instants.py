@@ -20,7 +20,10 @@ from esc_agents.training.train import train
 from tests.esc_agents.instants import contents, photographed, restore
 from tests.esc_agents.tiny import SAC_RUN, tiny
 
-STEPS_OR_NONE = r"^\d+$|holds no policy yet|add --trust|killed between the two, and --resume"
+STEPS_OR_NONE = (
+    r"^\d+$|holds no policy yet|add --trust|"
+    r"killed between the two, and esc-train or esc-imitate --resume"
+)
 
 
 def steps_of(run):
