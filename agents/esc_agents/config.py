@@ -29,6 +29,9 @@ from esc_gym.registration import ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
 SCHEMA = 1  # of the YAML files
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]  # what NumPy takes
+Size = Annotated[int, Field(ge=1, le=2**16)]  # of what lies in memory at once; more is a slip
+Episodes = Annotated[int, Field(ge=1, le=10**6)]
+Threads = Annotated[int, Field(ge=1, le=1024)]
 Schedule = Literal["constant", "linear"]
 Algorithm = Literal["ppo", "sac"]
 NOUNS = {
@@ -53,7 +56,7 @@ class Model(BaseModel):
 class ObservationConfig(Model):
     """Arguments of esc_gym.SetObservation."""
 
-    max_vehicles: PositiveInt | None = None
+    max_vehicles: Size | None = None
     """N, rows of the padded set; default: as many as the scenario can hold."""
     features: tuple[str, ...] = DEFAULT_FEATURES
     """Columns of a vehicle (d1 of them)."""
@@ -87,9 +90,9 @@ ENCODER_FIELDS = {
 class EncoderConfig(Model):
     """The features extractor."""
 
-    hidden: tuple[PositiveInt, ...] = (64, 64)
+    hidden: tuple[Size, ...] = (64, 64)
     """Hidden widths of ESC's h; other representations get as many parameters as that has."""
-    code_dim: PositiveInt | None = None
+    code_dim: Size | None = None
     """d3; default: N*d1 + 1, the paper's Theorem 1."""
     match_parameters: bool = True
     """False: every representation takes `hidden` as it is."""
@@ -156,7 +159,7 @@ class PPOConfig(AlgorithmConfig):
     `start_from`: before it can judge, its errors would spoil what the policy knows."""
     ortho_init: bool = True
     """SB3's orthogonal initialisation, of the encoder too; false: PyTorch's own."""
-    net_arch: tuple[PositiveInt, ...] = (64, 64)
+    net_arch: tuple[Size, ...] = (64, 64)
     """Hidden widths of the policy and of the value network after the features extractor."""
 
 
@@ -177,7 +180,7 @@ class SACConfig(AlgorithmConfig):
     """Steps of each environment between two rounds of updates."""
     gradient_steps: Annotated[int, Field(ge=-1)] = 1
     """Updates in a round, whatever the number of environments; -1: one for each of their steps."""
-    net_arch: tuple[PositiveInt, ...] = (128, 128)
+    net_arch: tuple[Size, ...] = (128, 128)
     """Hidden widths of the actor and of the critics after the features extractor."""
 
 
@@ -186,7 +189,7 @@ class EvaluationConfig(Model):
 
     every: PositiveInt | None = None
     """Training steps between two evaluations; default: a fifth of the run, at least 1000."""
-    episodes: PositiveInt = 10
+    episodes: Episodes = 10
     seed: Seed = 1_000_000
     """Seed of the first episode; the others follow."""
 
@@ -203,12 +206,12 @@ class TrainConfig(Model):
     steps: PositiveInt = 100_000
     """Training steps over all environments; PPO ends with a whole rollout."""
     seed: Seed = 0
-    n_envs: PositiveInt = 8
+    n_envs: Size = 8
     """Environments that training steps at once."""
     vec: Literal["auto", "batch", "dummy", "subproc"] = "auto"
     """batch: all environments in the batch engine; dummy: as objects, one after the other; subproc:
     in a process each; auto: what is fastest. The results are the same."""
-    threads: PositiveInt = 1
+    threads: Threads = 1
     """torch's threads on the CPU; more pay for wide networks and large batches on idle cores."""
     device: str = "auto"
     """torch device: auto, cpu, cuda, cuda:1."""

@@ -65,12 +65,24 @@ def guarded(program: str, command: Callable[[], int]) -> NoReturn:
         exit_with(program, str(error))
     except KeyboardInterrupt:
         code = 130
-    except MemoryError as error:
+    except (MemoryError, RuntimeError) as error:
+        if not _no_memory(error):
+            raise
         exit_with(program, f"not enough memory: {error or 'for what was asked'}; ask for less")
     except BrokenPipeError:  # `esc-train --help | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 141
     raise SystemExit(code)
+
+
+def _no_memory(error: Exception) -> bool:
+    """Whether Python, NumPy or torch, on the CPU or a GPU, found none. By names: a console script
+    imports torch late."""
+    return (
+        isinstance(error, MemoryError)
+        or type(error).__name__ == "OutOfMemoryError"
+        or "DefaultCPUAllocator" in str(error)
+    )
 
 
 def parse(program: str, type_: type[T], args: Sequence[str], default: Any = None) -> T:

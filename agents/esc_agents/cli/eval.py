@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, PositiveInt
 
 from esc_agents import pretrained
 from esc_agents.cli import Trust, guarded, parse
-from esc_agents.config import Seed
+from esc_agents.config import Episodes, Seed
 from esc_agents.driving.planner_config import PlannerConfig
 from esc_agents.errors import UserError
 from esc_agents.yaml_text import Mapping
@@ -34,7 +34,7 @@ class EvaluateArguments(BaseModel):
     highway-env's own driver; in the scenario or id of --env."""
     planner: PlannerConfig = PlannerConfig()
     """Of --expert planner."""
-    episodes: PositiveInt = 20
+    episodes: Episodes = 20
     seed: Seed = 2_000_000
     """Seed of the first episode; the others follow."""
     env: str | None = None

@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import PositiveInt
 from tyro import conf
 
 from esc_agents.cli import Trust, guarded, parse
-from esc_agents.config import TrainConfig, load_config, scenarios
+from esc_agents.config import Episodes, TrainConfig, load_config, scenarios
 
 PROGRAM = "floors"
 
@@ -28,7 +27,7 @@ class FloorArguments:
     scenarios: Annotated[tuple[str, ...], conf.arg(metavar="NAME ...")] = field(
         default_factory=lambda: tuple(name for name in scenarios() if name.endswith("-dense"))
     )
-    episodes: PositiveInt = 30
+    episodes: Episodes = 30
     trust: Trust = False
 
 

@@ -19,6 +19,7 @@ from pydantic import (
 
 from esc_agents.config import (
     Algorithm,
+    Episodes,
     Model,
     TrainConfig,
     config_for_env,
@@ -84,7 +85,7 @@ class CompareConfig(Model):
     """Training steps of each run; None: as many as the scenario says."""
     slots: PositiveInt | None = None
     """Z: fp takes the Z nearest vehicles, ap any Z; default: N, which is all of them."""
-    episodes: PositiveInt = 50
+    episodes: Episodes = 50
     """Episodes that each final policy drives, the same for all."""
     tuning: TuningConfig = TuningConfig()
     transfer: Mapping = Field(default_factory=dict)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, NonNegativeFloat, PositiveInt, ValidationInfo, field_validator
+from pydantic import Field, NonNegativeFloat, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
-from esc_agents.config import Model, Probability, Seed
+from esc_agents.config import Model, Probability, Seed, Size
 
 Method = Literal["look-ahead", "tree", "cross-entropy"]
 
@@ -21,7 +21,7 @@ class PlannerConfig(Model):
     cross-entropy: of continuous actions. Default: cross-entropy for those, else look-ahead."""
     knows: Literal["all", "observed"] = "all"
     """all: what the others want, and what is still to be drawn; observed: what can be seen."""
-    horizon: PositiveInt | None = None
+    horizon: Size | None = None
     """Policy steps looked ahead; default 10, of continuous actions 20."""
     discount: Probability | None = None
     """Default 0.95."""
@@ -31,18 +31,18 @@ class PlannerConfig(Model):
     """Meta-actions of which each is tried to the horizon; default IDLE SLOWER; all: every one."""
     policy: str | None = None
     """A run directory, or zoo:NAME: that it drives on is tried, too."""
-    free: PositiveInt | None = None
+    free: Annotated[int, Field(ge=1, le=8)] | None = None
     """Of look-ahead: in how many steps, from the first on, every action is tried; default 2, where
     it is to be imitated 1."""
-    expansions: PositiveInt | None = None
+    expansions: Size | None = None
     """Of tree: how many sequences are followed by every action; default 10."""
     milliseconds: NonNegativeFloat | None = None
     """Of tree: after which no sequence is followed any more; default: no limit."""
-    samples: Annotated[int, Field(ge=8)] | None = None
+    samples: Annotated[Size, Field(ge=8)] | None = None
     """Of cross-entropy: sequences in an iteration; default 64."""
-    iterations: PositiveInt | None = None
+    iterations: Size | None = None
     """Of cross-entropy; default 4."""
-    futures: PositiveInt | None = None
+    futures: Size | None = None
     """Guesses of what cannot be seen, over which is averaged; default 4."""
     seed: Seed = 0
     """Of the guesses, and of what is drawn at random."""

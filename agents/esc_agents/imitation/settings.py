@@ -9,10 +9,13 @@ from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from esc_agents.config import (
     EncoderConfig,
+    Episodes,
     Model,
     ObservationConfig,
     Probability,
     Seed,
+    Size,
+    Threads,
     TrainConfig,
     config_for_env,
 )
@@ -33,13 +36,13 @@ class CollectConfig(Model):
     run:DIR (the policy of a run)."""
     planner: PlannerConfig = PlannerConfig()
     """Of the expert planner."""
-    episodes: PositiveInt = 100
+    episodes: Episodes = 100
     noise: Probability = 0.2
     """Share of the steps in which a random action is taken: the labels are the expert's all the
     same, also of states into which it would not have come."""
     seed: Seed = 0
     """Seed of the first episode; the others follow."""
-    n_envs: PositiveInt = 64
+    n_envs: Size = 64
     """Environments that are driven at once."""
     env_config: Mapping = Field(default_factory=dict)
     """highway-env configuration, merged into the scenario's."""
@@ -93,7 +96,7 @@ class ImitateConfig(Model):
     learning_rate: PositiveFloat = 1e-3
     """At the beginning of each round; falls to 0 within it."""
     seed: Seed = 0
-    threads: PositiveInt = 1
+    threads: Threads = 1
     """torch's threads on the CPU."""
     device: str = "auto"
     """torch device: auto, cpu, cuda, cuda:1."""

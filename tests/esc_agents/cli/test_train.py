@@ -5,7 +5,9 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+import torch
 
 from esc_agents.cli import _one_line, eval as eval_cli, guarded, train as train_cli
 from esc_agents.config import load_config
@@ -47,14 +49,32 @@ def parsed(monkeypatch, *args):
     return configs[0]
 
 
-def test_too_little_memory_is_one_line(capsys):
-    def command():
-        raise MemoryError("Unable to allocate 59.6 GiB")
-
+@pytest.mark.parametrize("allocate", [np.empty, torch.empty])
+def test_too_little_memory_is_one_line(allocate, capsys):
     with pytest.raises(SystemExit, match="2"):
+        guarded("esc-train", lambda: allocate(10**15))
+    error = capsys.readouterr().err
+    assert error.startswith("esc-train: not enough memory: ")
+    assert error.endswith("; ask for less\n")
+    assert error.count("\n") == 1
+
+
+def test_another_error_is_told_whole():
+    def command():
+        raise RuntimeError("of another kind")
+
+    with pytest.raises(RuntimeError, match="of another kind"):
         guarded("esc-train", command)
-    said = "esc-train: not enough memory: Unable to allocate 59.6 GiB; ask for less\n"
-    assert capsys.readouterr().err == said
+
+
+@pytest.mark.parametrize(
+    "flag", ["--n-envs", "--threads", "--evaluation.episodes", "--ppo.net-arch", "--encoder.hidden"]
+)
+def test_a_size_that_cannot_be_meant(flag, call):
+    code, out, error = call(train_cli, *FAST, flag, "1e9", "--run-dir", "run")
+    assert (code, out) == (2, "")
+    assert "less than or equal to" in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize("word", ["1e6", "1000000", "1_000_000", "1000000.0", "+1E+6"])
