@@ -128,7 +128,7 @@ class AlgorithmConfig(Model):
 
     train_env_config: Mapping = {}
     """highway-env configuration, merged over all other in training only: rewards that show the way,
-    or other traffic. Evaluations are of the scenario itself."""
+    or other traffic. Evaluations are of the scenario itself. A flag adds to the scenario's."""
     use_sde: bool = False
     """With continuous actions, explore by a noise that lasts and depends on the state (gSDE): it
     turns the wheel where independent noise would only shake it."""

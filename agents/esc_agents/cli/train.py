@@ -88,6 +88,10 @@ def _config(arguments: TrainArguments, base: TrainArguments) -> TrainConfig:
         preset = merge(base.continuous.env_config, arguments.continuous.env_config)
         task = {"env_config": merge(preset, given)}
         values["continuous"] = arguments.continuous.model_copy(update=task)
+    for algo in get_args(Algorithm):
+        own, flags = getattr(base, algo), getattr(arguments, algo)
+        task = {"train_env_config": merge(own.train_env_config, flags.train_env_config)}
+        values[algo] = flags.model_copy(update=task)
     if not arguments.config:
         values["env"] = base.env  # --env may have named a scenario, of which this is the id
     elif arguments.env in scenarios() and arguments.env != base.env:

@@ -87,10 +87,12 @@ def test_flags_override_the_scenario(monkeypatch):
     config = parsed(
         monkeypatch, "--env", "highway-dense", "--observation.max-vehicles", "7", "--seed", "3",
         "--env-config", "{lanes_count: 2}", "--encoder.arguments", "{scale: 0.1}",
+        "--ppo.train-env-config", "{collision_reward: -9}",
     )  # fmt: skip
     assert (config.env, config.seed, config.observation.max_vehicles) == ("highway-v0", 3, 7)
     assert config.env_config["lanes_count"] == 2
     assert config.env_config["vehicles_count"] == 40  # what the scenario says stays
+    assert config.ppo.train_env_config == {"high_speed_reward": 0.1, "collision_reward": -9}
     assert config.observation.ranges["x"] == (-30.0, 30.0)
     assert config.encoder.arguments == {"scale": 0.1}
 
