@@ -141,5 +141,10 @@ def _one_line(framed: str) -> str:
         r"expected a whole number below 2^63, or None, got '\1'",
         message,
     )
+    message = re.sub(
+        r"Could not find valid parse for arguments: \[(.*)\]",
+        r"expected what --help says, got \1",
+        message,
+    )
     guesses = [part.split()[3] for part in more if part.startswith("Perhaps you meant: ")]
     return f"{message}; did you mean {guesses[0]}?" if guesses else message
