@@ -139,7 +139,8 @@ def merge_config(default: dict[str, Any], changes: Mapping[str, Any]) -> dict[st
                 "SetObservation's arguments instead (max_vehicles=, features=, order=, ...)."
             )
         # Reward terms are read by name, and not all of them stand in the defaults.
-        if key not in default and not key.endswith("_reward"):
+        term = key.endswith("_reward") and not get_close_matches(key, default, cutoff=0.9)
+        if key not in default and not term:
             raise ValueError(f"config: unknown key {key!r}; {_hint(key, default)}")
         if isinstance(default.get(key), dict) and not isinstance(changes[key], Mapping):
             raise ValueError(f"config[{key!r}]: expected a mapping, got {changes[key]!r}.")

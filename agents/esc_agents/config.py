@@ -29,9 +29,10 @@ from esc_gym.registration import ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
 SCHEMA = 1  # of the YAML files
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]  # what NumPy takes
-Size = Annotated[int, Field(ge=1, le=2**16)]  # of what lies in memory at once; more is a slip
-Episodes = Annotated[int, Field(ge=1, le=10**6)]
-Threads = Annotated[int, Field(ge=1, le=1024)]
+Size = Annotated[int, Field(gt=0, le=2**16)]  # of what lies in memory at once; more is a slip
+Width = Annotated[int, Field(gt=0, le=2**13)]  # of a layer
+Episodes = Annotated[int, Field(gt=0, le=10**6)]
+Threads = Annotated[int, Field(gt=0, le=1024)]
 Schedule = Literal["constant", "linear"]
 Algorithm = Literal["ppo", "sac"]
 NOUNS = {
@@ -90,7 +91,7 @@ ENCODER_FIELDS = {
 class EncoderConfig(Model):
     """The features extractor."""
 
-    hidden: tuple[Size, ...] = (64, 64)
+    hidden: tuple[Width, ...] = (64, 64)
     """Hidden widths of ESC's h; other representations get as many parameters as that has."""
     code_dim: Size | None = None
     """d3; default: N*d1 + 1, the paper's Theorem 1."""
@@ -159,7 +160,7 @@ class PPOConfig(AlgorithmConfig):
     `start_from`: before it can judge, its errors would spoil what the policy knows."""
     ortho_init: bool = True
     """SB3's orthogonal initialisation, of the encoder too; false: PyTorch's own."""
-    net_arch: tuple[Size, ...] = (64, 64)
+    net_arch: tuple[Width, ...] = (64, 64)
     """Hidden widths of the policy and of the value network after the features extractor."""
 
 
@@ -180,7 +181,7 @@ class SACConfig(AlgorithmConfig):
     """Steps of each environment between two rounds of updates."""
     gradient_steps: Annotated[int, Field(ge=-1)] = 1
     """Updates in a round, whatever the number of environments; -1: one for each of their steps."""
-    net_arch: tuple[Size, ...] = (128, 128)
+    net_arch: tuple[Width, ...] = (128, 128)
     """Hidden widths of the actor and of the critics after the features extractor."""
 
 

@@ -166,6 +166,8 @@ def test_numbers_in_a_configuration(changes, message):
 def test_bad_configuration():
     with pytest.raises(ValueError, match="unknown key 'lane_count'; did you mean 'lanes_count'"):
         gym.make("esc_gym/highway-v0", config={"lane_count": 3})
+    with pytest.raises(ValueError, match="'colision_reward'; did you mean 'collision_reward'"):
+        gym.make("esc_gym/highway-v0", config={"colision_reward": -3})
     with pytest.raises(TypeError, match="unexpected argument 'feature'; did you mean 'features'"):
         gym.make("esc_gym/highway-v0", feature=["x"])
     with pytest.raises(ValueError, match="has no effect here: esc_gym observes the set"):

@@ -65,10 +65,12 @@ def command(args: list[str]) -> int:
     arguments = parse(PROGRAM, EvaluateArguments, args)
     given = dict(arguments)
     name, expert, planner = (given.pop(key) for key in ("pretrained", "expert", "planner"))
-    if [name, expert, given["run_dir"]].count(None) != 2:
+    drivers = 3 - [name, expert, given["run_dir"]].count(None)
+    if drivers != 1:
         known = ", ".join(pretrained.names()) or "none yet"
         raise UserError(
-            f"expected a run directory, or --pretrained NAME (there are: {known}), or --expert NAME"
+            f"expected a run directory, or --pretrained NAME (there are: {known}), or --expert "
+            f"NAME, got {drivers or 'none'} of them"
         )
     if expert:
         return _expert(expert, planner, given)

@@ -31,7 +31,7 @@ class PlannerConfig(Model):
     """Meta-actions of which each is tried to the horizon; default IDLE SLOWER; all: every one."""
     policy: str | None = None
     """A run directory, or zoo:NAME: that it drives on is tried, too."""
-    free: Annotated[int, Field(ge=1, le=8)] | None = None
+    free: Annotated[int, Field(gt=0, le=8)] | None = None
     """Of look-ahead: in how many steps, from the first on, every action is tried; default 2, where
     it is to be imitated 1."""
     expansions: Size | None = None
