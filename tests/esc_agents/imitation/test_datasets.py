@@ -158,7 +158,10 @@ def test_data_of_others(made, observation, tmp_path):
         ("--env parking", "planner: parking-v0: expected meta-actions, whose values it says"),
         ("--out labels", "out: expected a name that ends with a version, as -v0, got 'labels'"),
         ("--planner.milliseconds 5", "--planner.milliseconds: labels must not depend on the ma"),
-        ("--planner.free 11", "--planner.free: expected at most the horizon, 10, got 11"),
+        (
+            "--planner.free 4 --planner.horizon 3",
+            "--planner.free: expected at most the horizon, 3, got 4",
+        ),
         ("--episodes 0", "episodes Input should be greater than 0 (got 0)"),
     ],
 )

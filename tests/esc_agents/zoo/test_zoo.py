@@ -52,13 +52,13 @@ def test_what_the_zoo_does_not_have(ppo_run, own_zoo, call):
     code, _, err = call(eval_cli, "--pretrained", "tine")
     assert code == 2
     assert "did you mean 'tiny'?" in err
-    for arguments in ([], [ppo_run, "--pretrained", "tiny"]):
+    for arguments, count in (([], "none"), ([ppo_run, "--pretrained", "tiny"], "2")):
         code, _, err = call(eval_cli, *arguments)
         assert code == 2
-        expected = (
-            "expected a run directory, or --pretrained NAME (there are: tiny), or --expert NAME"
+        assert err == (
+            "esc-eval: expected a run directory, or --pretrained NAME (there are: tiny), or "
+            f"--expert NAME, got {count} of them\n"
         )
-        assert err == f"esc-eval: {expected}\n"
 
 
 @pytest.mark.parametrize("name", ["..", "", ".", "a/b", "Dense", "dense-"])
