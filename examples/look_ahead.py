@@ -1,12 +1,14 @@
 """Plan on copies of the scene: what each meta-action is worth, and a drive that takes the best."""
 
+from typing import Any
+
 import gymnasium as gym
 import numpy as np
 
 import esc_gym  # noqa: F401
 from esc_gym.planning import LookAhead, TreeSearch, meta_actions
 
-envs = gym.make_vec("esc_gym/merge-v1", 8)
+envs: Any = gym.make_vec("esc_gym/merge-v1", 8)
 envs.reset(seed=0)
 names = list(meta_actions(envs))
 print(
