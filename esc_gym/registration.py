@@ -26,6 +26,7 @@ from esc_gym.observation import SetObservation
 from esc_gym.parking import SET_PARKING
 
 NAMESPACE = "esc_gym"
+MOST = 10_000  # vehicles, lanes, steps a second
 HIGHWAY_ENV_IDS = tuple(
     spec.id for spec in gym.registry.values()
     if isinstance(spec.entry_point, str) and spec.entry_point.startswith("highway_env.envs.")
@@ -180,7 +181,7 @@ def _check_action(config: Mapping[str, Any], given: Iterable[str]) -> None:
 
 
 def _check(key: str, default: Any, value: Any) -> None:
-    """highway-env itself would fail later, or drive on an empty road."""
+    """highway-env itself would fail later, drive on an empty road, or build one for hours."""
     number = isinstance(value, int | float | np.number) and value == value  # not NaN
     whole = number and isinstance(value, int | np.integer)
     if isinstance(default, bool):
@@ -190,11 +191,11 @@ def _check(key: str, default: Any, value: Any) -> None:
     elif not isinstance(default, int | float) and not key.endswith("_reward"):
         return
     elif key == "lanes_count":
-        good, expected = whole and value >= 1, "a whole number of at least 1"
+        good, expected = whole and 1 <= value <= MOST, f"a whole number from 1 to {MOST}"
     elif key.endswith("_count"):
-        good, expected = whole and value >= 0, "a whole number of at least 0"
+        good, expected = whole and 0 <= value <= MOST, f"a whole number from 0 to {MOST}"
     elif key.endswith(("_density", "_frequency")):
-        good, expected = number and value > 0, "a number above 0"
+        good, expected = number and 0 < value <= MOST, f"a number above 0, at most {MOST}"
     elif key == "duration":
         good, expected = number and value >= 0, "a number of at least 0"
     else:
