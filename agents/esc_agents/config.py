@@ -21,7 +21,7 @@ from pydantic import (
 )
 
 from esc_agents import strangers, yaml_text
-from esc_agents.errors import UserError
+from esc_agents.errors import UserError, wording
 from esc_agents.yaml_text import YAML_ARGUMENT, Mapping, parse
 from esc_gym.features import DEFAULT_FEATURES
 from esc_gym.registration import ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
@@ -328,7 +328,7 @@ def explain(error: ValidationError, model: type[BaseModel] = TrainConfig) -> str
         for key in keys[:-1]:
             model = _submodel(model, key)
         return f"unknown key {'.'.join(keys)!r}{_nearest(keys[-1], model.model_fields)}"
-    return f"{'.'.join(keys)}: {first['msg']}, got {first['input']!r}"
+    return wording(f"{'.'.join(keys)}: {first['msg']}, got {first['input']!r}")
 
 
 def _submodel(model: type[BaseModel], key: str) -> type[BaseModel]:

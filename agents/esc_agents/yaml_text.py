@@ -1,6 +1,6 @@
-"""YAML as people write it, in files and on the command line: there 1e-3 is a number.
+"""YAML as people write it, in files and on the command line, with the numbers of YAML 1.2.
 
-As in YAML 1.2; PyYAML alone takes it for text.
+There 1e-3 is one, which PyYAML takes for text; 1:30 and 010 are text, which it takes for 90 and 8.
 """
 
 from __future__ import annotations
@@ -20,12 +20,20 @@ class _Dumper(yaml.SafeDumper):
     """Quotes a text that would be read as a number."""
 
 
+_NUMBERS = {
+    "tag:yaml.org,2002:int": re.compile(r"[-+]?(0|[1-9][0-9_]*|0x[0-9a-fA-F]+)$"),
+    "tag:yaml.org,2002:float": re.compile(
+        r"[-+]?(\.[0-9]+|[0-9][0-9_]*(\.[0-9_]*)?)[eE][-+]?[0-9]+$"
+        r"|[-+]?(\.[0-9]+|[0-9][0-9_]*\.[0-9_]*|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$"
+    ),
+}
 for _each in (_Loader, _Dumper):
-    _each.add_implicit_resolver(
-        "tag:yaml.org,2002:float",
-        re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
-        list("-+.0123456789"),
-    )
+    _each.yaml_implicit_resolvers = {
+        first: [(tag, form) for tag, form in resolvers if tag not in _NUMBERS]
+        for first, resolvers in _each.yaml_implicit_resolvers.items()
+    }
+    for _tag, _form in _NUMBERS.items():
+        _each.add_implicit_resolver(_tag, _form, list("-+.0123456789"))
 
 
 def parse(text: str) -> Any:

@@ -15,7 +15,7 @@ from typing import Annotated, Any, NoReturn, TypeVar
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from esc_agents.errors import UserError
+from esc_agents.errors import UserError, wording
 
 T = TypeVar("T")
 Trust = Annotated[
@@ -132,7 +132,8 @@ def _one_line(framed: str) -> str:
     lines = [line.strip("│|+╭╮╰╯ ") for line in plain.splitlines()]
     text = "\n".join("" if set(line) <= set("─-") else line for line in lines[1:])
     message, *more = [" ".join(part.split()) for part in re.split(r"\n{2,}", text.strip("\n"))]
-    message = re.sub(r"\[type=\w+, input_value=(.*?), input_type=\w+\]", r"(got \1)", message)
+    message = wording(message)
+    message = re.sub(r" \[type=\w+, input_value=(.*?), input_type=\w+\]", r", got \1", message)
     message = re.sub(r" ?For further information visit \S+", "", message)
     message = re.sub(r"Error parsing \w+Arguments: \d+ validation errors? for \w+ ", "", message)
     message = re.sub(r"Error parsing ([\w.]+): \d+ validation errors? for \w+ ", r"\1.", message)

@@ -25,7 +25,7 @@ from torch import Tensor
 from esc_agents import files, pretrained, strangers
 from esc_agents.config import TrainConfig
 from esc_agents.driving.environments import other_meaning
-from esc_agents.errors import UserError, say
+from esc_agents.errors import UserError, say, wording
 from esc_gym.adaptation import pinned_arguments
 from esc_gym.extractors import SetExtractor
 from esc_gym.observation_type import GOAL, GOALS
@@ -240,9 +240,8 @@ def _read(folder: Path, name: str, trust: bool) -> tuple[PolicyDescription, dict
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise UserError(
-            f"{described} is damaged or of another version: {where} {first['msg']}"
-        ) from error
+        problem = wording(f"{where}: {first['msg']}")
+        raise UserError(f"{described} is damaged or of another version: {problem}") from error
     if hashlib.sha256(weights).hexdigest() != description.sha256:
         raise UserError(
             f"{stored} does not match the checksum in {described.name}: it is damaged, or its run "

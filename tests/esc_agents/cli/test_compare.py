@@ -82,7 +82,7 @@ def test_the_directory_of_a_run_is_refused(compare, dry):
     [
         (["--env", "highway-dens"], "unknown environment or scenario 'highway-dens'; did you mean"),
         (["--repr", "esk"], "repr: unknown representation 'esk'"),
-        (["--seeds", "0"], "seeds Input should be greater than or equal to 1 (got 0)"),
+        (["--seeds", "0"], "seeds should be greater than or equal to 1, got 0"),
         (["--steps", "x"], "steps"),
         (["--algo", "sac", "--env", "merge", "--train", "{}"], "cannot do continuous actions"),
         (["--engine", "dask"], "engine"),

@@ -162,7 +162,7 @@ def test_data_of_others(made, observation, tmp_path):
             "--planner.free 4 --planner.horizon 3",
             "--planner.free: expected at most the horizon, 3, got 4",
         ),
-        ("--episodes 0", "episodes Input should be greater than 0 (got 0)"),
+        ("--episodes 0", "episodes should be greater than 0, got 0"),
     ],
 )
 def test_what_users_get_wrong(flags, message, call, tmp_path):

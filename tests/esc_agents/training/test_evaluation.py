@@ -115,7 +115,7 @@ def test_sac_in_other_traffic_wins_over_its_own_preset(sac_run, call):
         (["--env", "roundabout"], "got ego_features [] in training and [dest_x, dest_y] here"),
         (["--env", "nowhere"], "env: unknown environment or scenario 'nowhere'"),
         (["--env-config", "{vehicle_count: 3}"], "unknown key 'vehicle_count'; did you mean"),
-        (["--env-config", "3"], "env_config Input should be a valid dictionary (got 3)"),
+        (["--env-config", "3"], "env_config should be a mapping, got 3"),
         (["--env-config", "{action: {type: ContinuousAction}}"],
          "in training and {type: ContinuousAction, longitudinal: true, lateral: true} here"),
         (["--env-config", "{action: {lateral: false}}"],
