@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -21,7 +20,7 @@ from pydantic import (
 )
 
 from esc_agents import strangers, yaml_text
-from esc_agents.errors import UserError, wording
+from esc_agents.errors import UserError, explain, nearest
 from esc_agents.yaml_text import YAML_ARGUMENT, Mapping, parse
 from esc_gym.features import DEFAULT_FEATURES
 from esc_gym.registration import ENV_IDS, MULTI_AGENT_IDS, NAMESPACE
@@ -269,7 +268,7 @@ def load(name: str | Path, kind: str, model: type[M], trust: bool = False) -> M:
         if str(name) not in known:
             what = NOUNS[kind]
             raise UserError(
-                f"config: no file {str(name)!r} and no such {what}{_nearest(str(name), known)}"
+                f"config: no file {str(name)!r} and no such {what}{nearest(str(name), known)}"
             )
         path, trust = known[str(name)], True
     try:
@@ -317,31 +316,16 @@ def check_env_id(env: str) -> None:
         )
     if f"{NAMESPACE}/{env}" not in ENV_IDS:
         known = [*scenarios(), *(id.removeprefix(f"{NAMESPACE}/") for id in ENV_IDS)]
-        raise UserError(f"env: unknown environment or scenario {env!r}{_nearest(env, known)}")
+        raise UserError(f"env: unknown environment or scenario {env!r}{nearest(env, known)}")
 
 
-def explain(error: ValidationError, model: type[BaseModel] = TrainConfig) -> str:
-    """The first problem of a validation on one line: key, what was expected, what came."""
-    first = error.errors()[0]
-    keys = [str(part) for part in first["loc"]]
-    if first["type"] == "extra_forbidden":
-        for key in keys[:-1]:
-            model = _submodel(model, key)
-        return f"unknown key {'.'.join(keys)!r}{_nearest(keys[-1], model.model_fields)}"
-    return wording(f"{'.'.join(keys)}: {first['msg']}, got {first['input']!r}")
-
-
-def _submodel(model: type[BaseModel], key: str) -> type[BaseModel]:
-    annotation = model.model_fields[key].annotation
-    for candidate in (annotation, *getattr(annotation, "__args__", ())):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate
-    return model
-
-
-def _nearest(name: str, known: Any) -> str:
-    near = get_close_matches(name, list(known), n=1)
-    return f"; did you mean {near[0]!r}?" if near else f"; expected one of {', '.join(known)}"
+def scenario_name(config: TrainConfig) -> str:
+    """The shipped scenario that a resolved configuration came from, else its highway-env id."""
+    for name, path in scenarios().items():
+        shipped = load_config(path, trust=True)
+        if (shipped.env, shipped.env_config) == (config.env, config.env_config):
+            return name
+    return config.env
 
 
 def dump(config: Model) -> str:

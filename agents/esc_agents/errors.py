@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+from pydantic import BaseModel, ValidationError
 
 
 class UserError(Exception):
@@ -19,6 +23,32 @@ def wording(message: str) -> str:
     """A message of pydantic's in the words of people who write YAML: "x should be a mapping"."""
     message = re.sub(r"a valid dictionary(?: or instance of \w+)?", "a mapping", message)
     return re.sub(r":? Input should", " should", message).replace("Value error, ", "")
+
+
+def explain(error: ValidationError, model: type[BaseModel]) -> str:
+    """The first problem of a validation on one line: key, what was expected, what came."""
+    first = error.errors()[0]
+    keys = [str(part) for part in first["loc"]]
+    if first["type"] == "extra_forbidden":
+        for key in keys[:-1]:
+            model = _submodel(model, key)
+        return f"unknown key {'.'.join(keys)!r}{nearest(keys[-1], model.model_fields)}"
+    return wording(f"{'.'.join(keys)}: {first['msg']}, got {first['input']!r}")
+
+
+def _submodel(model: type[BaseModel], key: str) -> type[BaseModel]:
+    annotation = model.model_fields[key].annotation
+    for candidate in (annotation, *getattr(annotation, "__args__", ())):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return model
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """What was meant by an unknown name: the nearest that is known, or else all of them."""
+    known = list(known)
+    near = get_close_matches(name, known, n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; expected one of {', '.join(known)}"
 
 
 def say(text: str) -> None:

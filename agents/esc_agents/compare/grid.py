@@ -23,10 +23,9 @@ from esc_agents.config import (
     Model,
     TrainConfig,
     config_for_env,
-    explain,
     with_algorithm,
 )
-from esc_agents.errors import UserError
+from esc_agents.errors import UserError, explain
 from esc_agents.imitation.settings import ImitateConfig
 from esc_agents.yaml_text import Mapping
 from esc_gym.encoders import APEncoder, representation
@@ -296,7 +295,7 @@ def changed(base: TrainConfig, changes: dict[str, Any]) -> TrainConfig:
     try:
         return TrainConfig.model_validate(merge(base.model_dump(), changes))
     except ValidationError as error:
-        raise UserError(f"train: {explain(error)}") from error
+        raise UserError(f"train: {explain(error, TrainConfig)}") from error
 
 
 def check_transfer(config: CompareConfig) -> None:

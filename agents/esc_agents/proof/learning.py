@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from esc_agents import files
-from esc_agents.config import TrainConfig, load_config, scenarios
+from esc_agents.config import TrainConfig, scenario_name
 from esc_agents.driving.baselines import best_blind, is_above
 from esc_agents.driving.episodes import Summary, return_of, summaries, table
 from esc_agents.driving.experts import PLANNER
@@ -122,15 +122,6 @@ def check_alike(runs: Sequence[Run]) -> None:
                 f"runs: the blind policies of {first.path} and {other.path} differ, so their "
                 "environments do; train both with the same version"
             )
-
-
-def scenario_name(config: TrainConfig) -> str:
-    """The shipped scenario that a resolved configuration came from, else its highway-env id."""
-    for name, path in scenarios().items():
-        shipped = load_config(path, trust=True)
-        if (shipped.env, shipped.env_config) == (config.env, config.env_config):
-            return name
-    return config.env
 
 
 def verdict(runs: Sequence[Run]) -> str:

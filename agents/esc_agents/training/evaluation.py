@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from esc_agents import files
-from esc_agents.config import TrainConfig, config_for_env
+from esc_agents.config import TrainConfig, config_for_env, scenario_name
 from esc_agents.driving import experts
 from esc_agents.driving.checks import check_env
 from esc_agents.driving.environments import (
@@ -57,8 +57,8 @@ def evaluate_run(
     config = run_directory.open_run(run_dir, trust).model_copy(update={"device": device})
     model, steps = load_model(config, run_dir, trust)
     _check_outputs(video, json_file)
-    title = f"{config.env}, {config.algo}, {steps:,} steps; "
-    driven = f"{env or config.env} {flow(env_config) if env_config else ''}".strip()
+    title = f"{scenario_name(config)}, {config.algo}, {steps:,} steps; "
+    driven = f"{env or scenario_name(config)} {flow(env_config) if env_config else ''}".strip()
     if env or env_config:
         title += f"driving in {driven}; "
         config = _elsewhere(config, env, env_config, model, run_dir)

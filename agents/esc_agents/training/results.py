@@ -8,7 +8,7 @@ from typing import Any
 
 from stable_baselines3.common.vec_env import VecEnv
 
-from esc_agents.config import TrainConfig
+from esc_agents.config import TrainConfig, scenario_name
 from esc_agents.driving.baselines import blind_policies, rule_driver, verdict
 from esc_agents.driving.episodes import (
     Episode,
@@ -71,7 +71,9 @@ def finish(config: TrainConfig, directory: Path, found: dict[str, Summary], what
     what: the run did, for the title.
     """
     run_directory.finish(directory, as_rows(found))
-    title = f"{config.env}, {config.repr}, {what}; episodes: {config.evaluation.episodes}"
+    title = (
+        f"{scenario_name(config)}, {config.repr}, {what}; episodes: {config.evaluation.episodes}"
+    )
     show(terminal(table(found), title))
     others = config.repr, RULE, PLANNER
     blind: Any = {name: s for name, s in found.items() if name not in others}

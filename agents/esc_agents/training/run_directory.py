@@ -20,7 +20,7 @@ from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from esc_agents import files, strangers
-from esc_agents.config import TrainConfig, dump, load_config
+from esc_agents.config import TrainConfig, dump, load_config, scenario_name
 from esc_agents.errors import UserError
 
 RESULTS, CHECKSUMS = "results.json", "SHA256SUMS"
@@ -30,12 +30,10 @@ IMITATE = "imitate.yaml"
 
 
 def default_run_dir(config: TrainConfig, way: str = "") -> Path:
-    """runs/<env>-<repr>-<way>-<seed>-<time>; way: of learning, "" for the algorithm."""
-    representation = config.repr.replace(":", ".")
+    """runs/<scenario>-<repr>-<way>-<seed>-<time>; way: of learning, "" for the algorithm."""
+    scenario, representation = scenario_name(config), config.repr.replace(":", ".")
     stamp = time.strftime("%Y%m%d-%H%M%S")
-    return (
-        Path("runs") / f"{config.env}-{representation}-{way or config.algo}-{config.seed}-{stamp}"
-    )
+    return Path("runs") / f"{scenario}-{representation}-{way or config.algo}-{config.seed}-{stamp}"
 
 
 def create(
