@@ -12,7 +12,6 @@ from esc_agents.cli import learning as learning_cli
 from esc_agents.config import TrainConfig, dump, load_config, scenario_name
 from esc_agents.driving.episodes import Episode, Summary, as_rows
 from esc_agents.errors import UserError
-from esc_agents.proof import learning
 from esc_agents.training.run_directory import write_checksums
 
 
