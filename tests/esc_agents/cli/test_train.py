@@ -82,7 +82,9 @@ def test_flags_override_the_scenario(monkeypatch):
     assert (config.env, config.seed, config.observation.max_vehicles) == ("highway-v0", 3, 7)
     assert config.env_config["lanes_count"] == 2
     assert config.env_config["vehicles_count"] == 40  # what the scenario says stays
-    assert config.ppo.train_env_config == {"high_speed_reward": 0.1, "collision_reward": -9}
+    own = load_config("highway-dense").ppo.train_env_config
+    assert "high_speed_reward" in own
+    assert config.ppo.train_env_config == {**own, "collision_reward": -9}
     assert config.observation.ranges["x"] == (-30.0, 30.0)
     assert config.encoder.arguments == {"scale": 0.1}
 

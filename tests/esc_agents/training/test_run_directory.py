@@ -158,6 +158,8 @@ def test_default_directories_name_the_run():
     path = run_directory.default_run_dir(tiny(repr="my.module:Class", algo="sac", seed=7))
     assert path.parent.name == "runs"
     assert path.name.startswith("highway-fast-v0-my.module.Class-sac-7-")
+    path = run_directory.default_run_dir(load_config("highway-dense"), "imitation")
+    assert path.name.startswith("highway-dense-esc-imitation-0-")  # its id is highway-v0
 
 
 def test_no_run_directory(tmp_path):
