@@ -182,12 +182,14 @@ def _check_action(config: Mapping[str, Any], given: Iterable[str]) -> None:
 
 def _check(key: str, default: Any, value: Any) -> None:
     """highway-env itself would fail later, drive on an empty road, or build one for hours."""
+    boolean = isinstance(value, bool | np.bool_)
     number = isinstance(value, int | float | np.number) and value == value  # not NaN
+    number = number and not boolean  # which Python takes for 0 and 1
     whole = number and isinstance(value, int | np.integer)
     if isinstance(default, bool):
-        return
-    if isinstance(default, list) and key.endswith("_range"):
-        good, expected = np.shape(value) == (2,), "two numbers"
+        good, expected = boolean, "true or false"
+    elif isinstance(default, list) and key.endswith("_range"):
+        good, expected = np.shape(value) == (2,) and value[0] < value[1], "two rising numbers"
     elif not isinstance(default, int | float) and not key.endswith("_reward"):
         return
     elif key == "lanes_count":

@@ -1,6 +1,7 @@
-"""YAML as people write it, in files and on the command line, with the numbers of YAML 1.2.
+"""YAML as people write it, in files and on the command line, with the scalars of YAML 1.2.
 
-There 1e-3 is one, which PyYAML takes for text; 1:30 and 010 are text, which it takes for 90 and 8.
+There 1e-3 is a number, which PyYAML takes for text; 1:30, 010 and yes are text, which it takes for
+90, 8 and true.
 """
 
 from __future__ import annotations
@@ -13,14 +14,22 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 
 class _Loader(yaml.SafeLoader):
-    pass
+    """Refuses a key that stands twice in a mapping, of which YAML takes the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        for name in names:
+            if names.count(name) > 1:
+                raise yaml.YAMLError(f"{name!r} stands there twice")
+        return super().construct_mapping(node, deep)
 
 
 class _Dumper(yaml.SafeDumper):
     """Quotes a text that would be read as a number."""
 
 
-_NUMBERS = {
+_SCALARS = {
+    "tag:yaml.org,2002:bool": re.compile(r"(true|True|TRUE|false|False|FALSE)$"),
     "tag:yaml.org,2002:int": re.compile(r"[-+]?(0|[1-9][0-9_]*|0x[0-9a-fA-F]+)$"),
     "tag:yaml.org,2002:float": re.compile(
         r"[-+]?(\.[0-9]+|[0-9][0-9_]*(\.[0-9_]*)?)[eE][-+]?[0-9]+$"
@@ -29,11 +38,11 @@ _NUMBERS = {
 }
 for _each in (_Loader, _Dumper):
     _each.yaml_implicit_resolvers = {
-        first: [(tag, form) for tag, form in resolvers if tag not in _NUMBERS]
+        first: [(tag, form) for tag, form in resolvers if tag not in _SCALARS]
         for first, resolvers in _each.yaml_implicit_resolvers.items()
     }
-    for _tag, _form in _NUMBERS.items():
-        _each.add_implicit_resolver(_tag, _form, list("-+.0123456789"))
+    for _tag, _form in _SCALARS.items():
+        _each.add_implicit_resolver(_tag, _form, list("-+.0123456789tTfF"))
 
 
 def parse(text: str) -> Any:

@@ -83,6 +83,9 @@ def test_dump_reads_back_equal(config, tmp_path):
         ("ppo: {learning_rate: .inf}", "ppo.learning_rate should be .*finite"),
         ("env_config: 3", "env_config should be a mapping, got 3"),
         ("ppo: 3", "ppo should be a mapping, got 3"),
+        ("seed: yes", "seed should be .*integer.*'yes'"),
+        ("steps: 3\nsteps: 5", "not readable as YAML: 'steps' stands there twice"),
+        ("env_config: {a: 1, a: 2}", "not readable as YAML: 'a' stands there twice"),
         ("algo: dqn", "algo should be .*'ppo' or 'sac', got 'dqn'"),
         ("1: 2", "string"),
         ("- env", "expected keys and values, got list"),
@@ -111,8 +114,8 @@ def test_numbers_that_yaml_reads_as_text(tmp_path):
     assert load(dump(config), tmp_path) == config
     assert parse(flow(config.env_config)) == config.env_config
     # And the other way round: a time of day and a leading zero are no numbers of YAML 1.2.
-    other = parse("[1:30, 010, 0x1F, -5, 500_000, 1., .5, -.inf]")
-    assert other == ["1:30", "010", 31, -5, 500_000, 1.0, 0.5, float("-inf")]
+    other = parse("[1:30, 010, 0x1F, -5, 500_000, 1., .5, -.inf, yes, true]")
+    assert other == ["1:30", "010", 31, -5, 500_000, 1.0, 0.5, float("-inf"), "yes", True]
     assert parse(flow(other)) == other
     assert [flow(value) for value in (80.0, "x", "1e3", [])] == ["80.0", "x", "'1e3'", "[]"]
 

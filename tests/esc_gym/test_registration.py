@@ -135,6 +135,9 @@ def test_merge_config_leaves_the_default_alone():
     ("changes", "message"),
     [
         ({"vehicles_count": "abc"}, "'vehicles_count'.: expected a whole number from 0 to"),
+        ({"vehicles_count": True}, "expected a whole number from 0 to 10000, got True"),
+        ({"normalize_reward": 3}, "'normalize_reward'.: expected true or false, got 3"),
+        ({"reward_speed_range": [20, 20]}, r"expected two rising numbers, got \[20, 20\]"),
         ({"vehicles_count": -3}, "expected a whole number from 0 to 10000, got -3"),
         ({"vehicles_count": 10**9}, "expected a whole number from 0 to 10000, got 1000000000"),
         ({"lanes_count": 2.5}, "expected a whole number from 1 to 10000, got 2.5"),
@@ -144,7 +147,7 @@ def test_merge_config_leaves_the_default_alone():
         ({"vehicles_density": 0}, "'vehicles_density'.: expected a number above 0, at most 1"),
         ({"policy_frequency": 0}, "'policy_frequency'.: expected a number above 0, at most 1"),
         ({"simulation_frequency": 1e9}, "expected a number above 0, at most 10000, got 1000000"),
-        ({"reward_speed_range": [20]}, r"'reward_speed_range'.: expected two numbers, got .20."),
+        ({"reward_speed_range": [20]}, r"'reward_speed_range'.: expected two rising numbers, got .20."),
         ({"collision_reward": float("nan")}, "'collision_reward'.: expected a number, got nan"),
         ({"jerk_reward": "much"}, "'jerk_reward'.: expected a number, got 'much'"),
         ({"initial_lane_id": 9}, "expected a whole number below 4, got 9"),
