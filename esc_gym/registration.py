@@ -189,7 +189,8 @@ def _check(key: str, default: Any, value: Any) -> None:
     if isinstance(default, bool):
         good, expected = boolean, "true or false"
     elif isinstance(default, list) and key.endswith("_range"):
-        good, expected = np.shape(value) == (2,) and value[0] < value[1], "two rising numbers"
+        expected = "two rising numbers"
+        good = np.shape(value) == (2,) and bool(np.greater(*np.flip(value)))
     elif not isinstance(default, int | float) and not key.endswith("_reward"):
         return
     elif key == "lanes_count":
