@@ -6,7 +6,7 @@ import esc_gym
 from esc_gym import SetObservation
 
 # By id: every single-agent environment of highway-env has one.
-env = gym.make("esc_gym/merge-v0", perception_distance=100.0)
+env = gym.make("esc_gym/merge-v1", perception_distance=100.0)
 observation, info = env.reset(seed=0)
 print(f"{len(esc_gym.ENV_IDS)} environments, among them {env.spec.id}")
 print("shapes:", {name: value.shape for name, value in observation.items()})
@@ -18,7 +18,7 @@ env = SetObservation(
 )
 observation, info = env.reset(seed=0)
 metres = env.decode(observation)["vehicles"]
-print("nearest vehicle:", dict(zip(env.set_spec.features, metres[0].round(1), strict=True)))
+print("nearest vehicle:", dict(zip(env.set_spec.features, metres[0].round(1).tolist(), strict=True)))
 for _ in range(5):
     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     print(f"reward {reward:.2f}, set of {info['set']['count']}, ids {info['set']['ids']}")
