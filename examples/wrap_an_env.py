@@ -17,8 +17,8 @@ env = SetObservation(
     gym.make("highway-fast-v0"), ranges={"x": (-100, 100), "y": (-12, 12)}, order="distance"
 )
 observation, info = env.reset(seed=0)
-metres = env.decode(observation)["vehicles"]
-print("nearest vehicle:", dict(zip(env.set_spec.features, metres[0].round(1).tolist(), strict=True)))
+nearest = env.decode(observation)["vehicles"][0].round(1).tolist()
+print("nearest vehicle:", dict(zip(env.set_spec.features, nearest, strict=True)))
 for _ in range(5):
     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     print(f"reward {reward:.2f}, set of {info['set']['count']}, ids {info['set']['ids']}")

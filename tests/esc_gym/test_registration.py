@@ -147,7 +147,7 @@ def test_merge_config_leaves_the_default_alone():
         ({"vehicles_density": 0}, "'vehicles_density'.: expected a number above 0, at most 1"),
         ({"policy_frequency": 0}, "'policy_frequency'.: expected a number above 0, at most 1"),
         ({"simulation_frequency": 1e9}, "expected a number above 0, at most 10000, got 1000000"),
-        ({"reward_speed_range": [20]}, r"'reward_speed_range'.: expected two rising numbers, got .20."),
+        ({"reward_speed_range": [20]}, r"expected two rising numbers, got .20."),
         ({"collision_reward": float("nan")}, "'collision_reward'.: expected a number, got nan"),
         ({"jerk_reward": "much"}, "'jerk_reward'.: expected a number, got 'much'"),
         ({"initial_lane_id": 9}, "expected a whole number below 4, got 9"),
