@@ -183,8 +183,7 @@ def _check_action(config: Mapping[str, Any], given: Iterable[str]) -> None:
 def _check(key: str, default: Any, value: Any) -> None:
     """highway-env itself would fail later, drive on an empty road, or build one for hours."""
     boolean = isinstance(value, bool | np.bool_)
-    number = isinstance(value, int | float | np.number) and value == value  # not NaN
-    number = number and not boolean  # which Python takes for 0 and 1
+    number = not boolean and isinstance(value, int | float | np.number) and value == value  # no NaN
     whole = number and isinstance(value, int | np.integer)
     if isinstance(default, bool):
         good, expected = boolean, "true or false"

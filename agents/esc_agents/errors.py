@@ -22,7 +22,8 @@ def reason(error: BaseException) -> str:
 def wording(message: str) -> str:
     """A message of pydantic's in the words of people who write YAML: "x should be a mapping"."""
     message = re.sub(r"a valid dictionary(?: or instance of \w+)?", "a mapping", message)
-    return re.sub(r":? Input should", " should", message).replace("Value error, ", "")
+    message = re.sub(r":? Input should", " should", message).replace("Value error, ", "")
+    return message.removeprefix(": ")  # of the whole, no key of it
 
 
 def explain(error: ValidationError, model: type[BaseModel]) -> str:
