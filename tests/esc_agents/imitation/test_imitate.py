@@ -205,7 +205,8 @@ def test_experts_of_other_actions_or_without_a_meaning(sac_run, whole, tmp_path)
         expert_of(f"run:{sac_run}", planner, config)
     shutil.copytree(whole, tmp_path / "run")
     (tmp_path / "run" / "policy.json").write_text("{")
-    with pytest.raises(UserError, match=r"policy\.json is .*version: Invalid JSON"):
+    damaged = r"policy\.json is damaged or of another version: Invalid JSON"
+    with pytest.raises(UserError, match=damaged):
         expert_of(f"run:{tmp_path / 'run'}", planner, config)
 
 
