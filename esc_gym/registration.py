@@ -196,7 +196,9 @@ def _check(key: str, default: Any, value: Any) -> None:
         good, expected = whole and 1 <= value <= MOST, f"a whole number from 1 to {MOST}"
     elif key.endswith("_count"):
         good, expected = whole and 0 <= value <= MOST, f"a whole number from 0 to {MOST}"
-    elif key.endswith(("_density", "_frequency")):
+    elif key.endswith("_density"):
+        good, expected = number and 1 / MOST <= value <= MOST, f"a number from {1 / MOST} to {MOST}"
+    elif key.endswith("_frequency"):
         good, expected = number and 0 < value <= MOST, f"a number above 0, at most {MOST}"
     elif key == "duration":
         good, expected = number and value >= 0, "a number of at least 0"

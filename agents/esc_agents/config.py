@@ -219,7 +219,7 @@ class TrainConfig(Model):
     """Begin with the weights of another run, and nothing else of it: its directory, or zoo:NAME for
     an agent that comes with the package."""
     run_dir: Path | None = None
-    """New directory for the run; default: runs/<env>-<repr>-<algo>-<seed>-<time>."""
+    """New directory for the run; default: runs/<scenario>-<repr>-<algo>-<seed>-<time>."""
     checkpoint_every: PositiveInt = 10_000
     """Training steps between two checkpoints, from which --resume continues exactly."""
     env_config: Mapping = {}

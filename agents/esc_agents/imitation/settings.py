@@ -107,7 +107,7 @@ class ImitateConfig(Model):
     start_from: str | None = None
     """Begin with the weights of another run: its directory, or zoo:NAME."""
     run_dir: Path | None = None
-    """New directory for the run; default: runs/<env>-<repr>-imitation-<seed>-<time>."""
+    """New directory for the run; default: runs/<scenario>-<repr>-imitation-<seed>-<time>."""
 
     @property
     def dagger_rounds(self) -> int:

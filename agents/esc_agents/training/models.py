@@ -11,7 +11,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import LinearSchedule, get_device
 from stable_baselines3.common.vec_env import VecEnv
 
-from esc_agents.config import TrainConfig
+from esc_agents.config import TrainConfig, scenario_name
 from esc_agents.driving.checks import check_device, extractor_arguments
 from esc_agents.driving.policies import load_policy
 from esc_agents.errors import UserError, say
@@ -96,7 +96,7 @@ def describe(config: TrainConfig, model: BaseAlgorithm, env: Any) -> str:
     n, d1 = env.observation_space["vehicles"].shape
     (d2,) = env.observation_space["ego"].shape
     return (
-        f"{config.env}: sets of up to N={n} vehicles, d1={d1}, d2={d2}; {config.repr}: "
+        f"{scenario_name(config)}: sets of up to N={n} vehicles, d1={d1}, d2={d2}; {config.repr}: "
         f"{extractor.features_dim} features, {parameter_count(extractor):,} parameters; "
         f"{config.algo} on {model.device}, {config.n_envs} environments"
     )
