@@ -102,6 +102,9 @@ class SetObservation(gym.Wrapper, RecordConstructorArgs):
         goal: bool = False,
         accelerate: bool = True,
     ) -> None:
+        for name, given in (("features", features), ("ego_features", ego_features)):
+            if isinstance(given, str):
+                raise ValueError(f"{name}: expected a sequence of names, got {given!r}.")
         # Lists, not tuples, so that the spec survives JSON.
         RecordConstructorArgs.__init__(
             self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.resources import files
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -128,7 +129,8 @@ class AlgorithmConfig(Model):
 
     train_env_config: Mapping = {}
     """highway-env configuration, merged over all other in training only: rewards that show the way,
-    or other traffic. Evaluations are of the scenario itself. A flag adds to the scenario's."""
+    or other traffic. Evaluations are of the scenario itself. A flag adds to the scenario's;
+    what --env-config names is in training as that says."""
     use_sde: bool = False
     """With continuous actions, explore by a noise that lasts and depends on the state (gSDE): it
     turns the wheel where independent noise would only shake it."""
@@ -314,6 +316,8 @@ def check_env_id(env: str) -> None:
             f"env {env!r} is multi-agent; expected one of the {len(ENV_IDS)} single-agent ids, "
             "for example intersection-v0"
         )
+    if env in scenarios():  # of a file: who names a scenario with --env gets all that it says
+        raise UserError(f"env: expected a highway-env id, got a scenario; give --env {env}")
     if f"{NAMESPACE}/{env}" not in ENV_IDS:
         known = [*scenarios(), *(id.removeprefix(f"{NAMESPACE}/") for id in ENV_IDS)]
         raise UserError(f"env: unknown environment or scenario {env!r}{nearest(env, known)}")
@@ -321,9 +325,9 @@ def check_env_id(env: str) -> None:
 
 def scenario_name(config: TrainConfig) -> str:
     """The shipped scenario that a resolved configuration came from, else its highway-env id."""
+    place = attrgetter("env", "env_config", "observation.goal")
     for name, path in scenarios().items():
-        shipped = load_config(path, trust=True)
-        if (shipped.env, shipped.env_config) == (config.env, config.env_config):
+        if place(load_config(path, trust=True)) == place(config):
             return name
     return config.env
 

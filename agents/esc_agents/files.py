@@ -100,5 +100,8 @@ def versions() -> dict[str, str]:
     if not (root / "pyproject.toml").is_file():  # installed: a repository around is not ours
         return found
     describe = ["git", "-C", str(root), "describe", "--always", "--dirty"]
-    commit = subprocess.run(describe, capture_output=True, text=True, check=False)
-    return found | ({"commit": commit.stdout.strip()} if commit.returncode == 0 else {})
+    try:
+        commit = subprocess.run(describe, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):  # no git here, or no repository
+        return found
+    return found | {"commit": commit.stdout.strip()}

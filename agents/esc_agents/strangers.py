@@ -22,7 +22,8 @@ from esc_agents.errors import UserError
 BLANK = "0" * 64
 """What a text says as its ``mac`` until it is signed."""
 KEYS = {"env", "repr", "representation", "other_vehicles_type"}
-"""Keys, at any depth, under which esc_gym, highway-env and Gymnasium take a name to import."""
+"""Keys, at any depth, or parts of dotted ones, under which esc_gym, highway-env and Gymnasium take
+a name to import."""
 _MAC = re.compile(rb"\bmac\W{1,4}([0-9a-f]{64})")
 _OURS = re.compile(r"(esc_gym|highway_env)(\.[a-z_]\w*)*[.:]\w+", re.ASCII)
 
@@ -64,7 +65,7 @@ def foreign(values: Any) -> list[str]:
         if isinstance(value, dict | list | tuple | set) and (named, id(value)) not in seen:
             seen.add((named, id(value)))
             items = value.items() if isinstance(value, dict) else ((None, item) for item in value)
-            todo += [(named or _text(key) in KEYS, item) for key, item in items]
+            todo += [(named or bool(KEYS & {*_text(key).split(".")}), item) for key, item in items]
         elif named and {".", ":"} & set(name := _text(value)) and not _OURS.fullmatch(name):
             found.append(name)
     return found

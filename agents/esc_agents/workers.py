@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import threading
 from multiprocessing import get_context
 from typing import Any
@@ -12,20 +11,25 @@ from typing import Any
 SPAWN = get_context("spawn")  # torch's threads do not survive a fork
 
 
+_stopping: Any = None  # the event of ``follow_parent``
+
+
 def follow_parent(stopping: Any = None) -> None:
     """End with the parent process, even where it is killed: nobody would keep what is done.
 
-    stopping: an event of the parent's, upon which this process gets SIGINT.
+    stopping: an event of the parent's, which it sets when this process is to ``stop``.
     """
-    threading.Thread(target=_follow, args=(stopping,), daemon=True).start()
+    global _stopping
+    _stopping = stopping
+    threading.Thread(target=_follow, daemon=True).start()
 
 
-def _follow(stopping: Any) -> None:
+def stop() -> bool:
+    """Whether the parent process wants this one to come to an end."""
+    return _stopping is not None and _stopping.is_set()
+
+
+def _follow() -> None:
     parent: Any = multiprocessing.parent_process()
-    while parent.is_alive():
-        if stopping is None:
-            parent.join()
-        elif stopping.wait(0.5):
-            os.kill(os.getpid(), signal.SIGINT)
-            parent.join()
+    parent.join()
     os._exit(1)

@@ -51,6 +51,8 @@ def parse(text: str) -> Any:
         return yaml.load(text, _Loader)  # a SafeLoader: nothing of the text runs
     except ValueError as error:  # of a scalar that only looks like one: 2020-13-45
         raise yaml.YAMLError(str(error)) from error
+    except (KeyError, IndexError) as error:  # of one that is said to be what it is not: !!bool 2
+        raise yaml.YAMLError("a value is not of the type that its tag says") from error
 
 
 def dump(value: Any) -> str:

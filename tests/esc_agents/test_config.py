@@ -92,6 +92,8 @@ def test_dump_reads_back_equal(config, tmp_path):
         ("", "expected keys and values, got NoneType"),
         ("env: [", "not readable as YAML"),
         ("env_config: {a: 2020-13-45}", "not readable as YAML: month must be in 1..12"),
+        ("env_config: {a: !!bool maybe}", "not readable as YAML: a value is not of the type"),
+        ("env_config: {a: !!int ''}", "not readable as YAML: a value is not of the type"),
         (
             "encoder: {arguments: {representation: fp, hidden: [3], scale: 2}}",
             r"encoder.arguments: .*only the encoder class has; .* say hidden, representation",

@@ -42,6 +42,7 @@ def test_names_of_others(name):
     assert foreign({"repr": name}) == [text]
     assert foreign({"train": [{"a": ({b"other_vehicles_type": name},)}]}) == [text]
     assert foreign({"repr": ["esc", {name}]}) == [text]
+    assert foreign({"space": {"env_config.other_vehicles_type": {"choices": [name]}}}) == [text]
     assert foreign({"label": name}) == []
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from esc_agents.cli import Trust, early, guarded, parse
 from esc_agents.config import (
@@ -78,19 +78,22 @@ def _base(args: list[str]) -> TrainArguments:
 
 def _config(arguments: TrainArguments, base: TrainArguments) -> TrainConfig:
     """The run's configuration: ``arguments`` with scenario names resolved to ids."""
+    from esc_agents.driving.environments import with_env_config
+
     values = dict(arguments)
     for name in ("config", "resume", "trust"):
         del values[name]
-    # --env-config adds to the scenario's configuration, and also beats what SAC changes in it.
-    given = arguments.env_config if arguments.env_config != base.env_config else {}
-    values["env_config"] = merge(base.env_config, given)
-    if arguments.continuous and base.continuous:
-        preset = merge(base.continuous.env_config, arguments.continuous.env_config)
-        task = {"env_config": merge(preset, given)}
+    # Flags add to what is there, and --env-config also beats what SAC and training change in it.
+    there = with_env_config(base, _other(arguments.env_config, base.env_config))
+    values["env_config"] = there.env_config
+    if arguments.continuous and base.continuous and there.continuous:
+        more = _other(arguments.continuous.env_config, base.continuous.env_config)
+        task = {"env_config": merge(there.continuous.env_config, more)}
         values["continuous"] = arguments.continuous.model_copy(update=task)
     for algo in get_args(Algorithm):
-        own, flags = getattr(base, algo), getattr(arguments, algo)
-        task = {"train_env_config": merge(own.train_env_config, flags.train_env_config)}
+        own, flags = getattr(base, algo).train_env_config, getattr(arguments, algo)
+        more = _other(flags.train_env_config, own)
+        task = {"train_env_config": merge(getattr(there, algo).train_env_config, more)}
         values[algo] = flags.model_copy(update=task)
     if not arguments.config:
         values["env"] = base.env  # --env may have named a scenario, of which this is the id
@@ -99,6 +102,11 @@ def _config(arguments: TrainArguments, base: TrainArguments) -> TrainConfig:
             f"--env beside --config: expected a highway-env id, got the scenario {arguments.env!r}"
         )
     return TrainConfig(**values)
+
+
+def _other(flag: dict[str, Any], default: dict[str, Any]) -> dict[str, Any]:
+    """What a flag says; {} where it was not given, and so is its default."""
+    return flag if flag != default else {}
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
-from esc_agents import files
+from esc_agents import files, workers
 from esc_agents.compare.jobs import Interrupted, Job, Post, Progress, collected
 from esc_agents.errors import UserError
 from esc_agents.workers import SPAWN, follow_parent
@@ -28,7 +28,6 @@ START = "start Ray there with: ray start --head"
 RETRIES = 5  # of a job whose node or process was lost
 Done = Callable[[Job, BaseException | None], None]
 _posts: Any = None  # of a local worker: the queue that takes its progress
-_stopping: Any = None  # of a local worker: set when it is to stop
 
 
 class Engine(Protocol):
@@ -76,8 +75,8 @@ def _waiting(posts: Any) -> Iterator[Progress]:
 
 
 def _start_worker(posts: Any, stopping: Any, path: list[str]) -> None:
-    global _posts, _stopping
-    _posts, _stopping, sys.path[:] = posts, stopping, path
+    global _posts
+    _posts, sys.path[:] = posts, path
     # Ctrl-C reaches the whole process group; the comparison decides when its workers stop.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "setsid"):
@@ -86,7 +85,7 @@ def _start_worker(posts: Any, stopping: Any, path: list[str]) -> None:
 
 
 def _work(job: Job, out: Path) -> None:
-    if _stopping.is_set():
+    if workers.stop():
         raise Interrupted
     job.do(out, _posts.put)
 

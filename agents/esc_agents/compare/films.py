@@ -26,7 +26,6 @@ LABEL = 18  # pixels
 def film_of(task: Task, out: Path, trust: bool = False) -> documents.Image | None:
     """The animation of a scenario; made once, while the runs' policies are there."""
     path = out / f"drive-{task.folder.name}.gif"
-    names = ", ".join(task.reprs)
     if not path.exists():
         runs = {repr: task.runs(repr)[0] for repr in task.reprs}
         folders = {repr: store.run_folder(out, result.cell) for repr, result in runs.items()}
@@ -42,7 +41,9 @@ def film_of(task: Task, out: Path, trust: bool = False) -> documents.Image | Non
             together({repr: frames for repr, (frames, _) in films.items()}, rate), shown(rate)
         )
         files.write_atomically(path, lambda file: file.write(data))
-    return documents.Image(path.name, path.read_bytes(), f"{task.name}, one episode with {names}")
+    return documents.Image(
+        path.name, path.read_bytes(), f"{task.name}, one episode, each driver under its name"
+    )
 
 
 def shown(rate: float) -> float:

@@ -25,11 +25,12 @@ from esc_agents.config import (
     config_for_env,
     with_algorithm,
 )
+from esc_agents.driving.environments import with_env_config
 from esc_agents.errors import UserError, explain
 from esc_agents.imitation.settings import ImitateConfig
 from esc_agents.yaml_text import Mapping
 from esc_gym.encoders import APEncoder, representation
-from esc_gym.registration import merge
+from esc_gym.registration import NAMESPACE, merge
 
 TUNING_SEED = 1000  # of the first tuning run: a study has fewer seeds
 TUNING_EPISODES = 3_000_000  # seed of the first episode on which tuning runs are judged
@@ -99,7 +100,7 @@ class CompareConfig(Model):
     @field_validator("env", "repr")
     @classmethod
     def _once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(names))
+        return tuple(dict.fromkeys(name.removeprefix(f"{NAMESPACE}/") for name in names))
 
     @property
     def way(self) -> str:
@@ -285,13 +286,14 @@ def scenario(config: CompareConfig, env: str, traffic: str = "") -> TrainConfig:
         with_algorithm(config_for_env(env), config.algo), {"device": "cpu", **config.train}
     )
     if traffic:
-        other = config.transfer[env][traffic]
-        base = changed(base, {"env_config": merge(base.env_config, other)})
+        base = with_env_config(base, config.transfer[env][traffic])
     return base
 
 
 def changed(base: TrainConfig, changes: dict[str, Any]) -> TrainConfig:
     """``base`` with fields of a training run changed. Raises UserError where they are none."""
+    if isinstance(given := changes.get("env_config"), dict):
+        base = with_env_config(base, given)
     try:
         return TrainConfig.model_validate(merge(base.model_dump(), changes))
     except ValidationError as error:
@@ -309,6 +311,11 @@ def check_transfer(config: CompareConfig) -> None:
             if not str(name).replace("-", "").isalnum():
                 raise UserError(
                     f"transfer {env}: expected a name of letters and digits, got {name!r}"
+                )
+            if taken := {f"{repr}-{name}" for repr in config.repr} & {*config.repr}:
+                raise UserError(
+                    f"transfer {env}: expected a name that makes no other representation of one, "
+                    f"got {name!r}: {min(taken)}"
                 )
             if not isinstance(changes, dict):
                 raise UserError(f"transfer {env}: {name}: expected an env_config, got {changes!r}")

@@ -205,14 +205,14 @@ def _learn_into(
                 "run is done anew"
             )
         _wait_until_free(folder)
-        if run_directory.finished(folder):
-            run_directory.verify(folder, "policy.json", "policy.safetensors", "evaluations.npz")
-            return
         begun = open_run(folder)
         if begun.model_copy(update={"run_dir": None}) != config:
             raise UserError(
                 f"{folder} was trained with other settings; remove it, and its run is done anew"
             )
+        if run_directory.finished(folder):
+            run_directory.verify(folder, "policy.json", "policy.safetensors", "evaluations.npz")
+            return
         finished = learn(begun, folder)
     else:
         finished = learn(config.model_copy(update={"run_dir": folder}), None)

@@ -236,7 +236,7 @@ def _told(path: Path) -> Iterator[None]:
         yield
     except (Damaged, KeyError, TypeError, ValueError, AttributeError) as error:
         what = str(error) if isinstance(error, Damaged) else f"{path} is damaged: {error!r}"
-        raise UserError(f"{what}; remove it and start again, and its run is done anew") from error
+        raise UserError(f"{what}; remove it and start again, and it is made anew") from error
 
 
 def _read(path: Path, type_: type[Result] | type[Tuned], trust: bool) -> Any:

@@ -15,6 +15,7 @@ from esc_agents.errors import UserError
 from esc_agents.yaml_text import flow
 from esc_gym.encoders import representation
 from esc_gym.extractors import SetExtractor
+from esc_gym.registration import merge
 
 
 def check(config: TrainConfig) -> gym.Env:
@@ -24,6 +25,7 @@ def check(config: TrainConfig) -> gym.Env:
     except ValueError as error:
         raise UserError(f"repr: {error}") from error
     check_device(config.device)
+    _check_seeds(config)
     env = check_env(config)
     if config.hyperparameters.train_env_config:
         _check_training(config, env)
@@ -44,6 +46,15 @@ def check(config: TrainConfig) -> gym.Env:
             f"{config.ppo.batch_size}; raise --ppo.n-steps or lower --ppo.batch-size"
         )
     return env
+
+
+def _check_seeds(config: TrainConfig) -> None:
+    first, last = config.evaluation.seed, config.evaluation.seed + config.evaluation.episodes - 1
+    if first - config.n_envs < config.seed <= last:
+        raise UserError(
+            f"seed: expected episodes that no evaluation has, which have the seeds {first} to "
+            f"{last}; got {config.seed} for the first of {config.n_envs} environments"
+        )
 
 
 def _check_training(config: TrainConfig, env: Any) -> None:
@@ -70,7 +81,8 @@ def _check_hindsight(config: TrainConfig, env: gym.Env) -> None:
             "which only parking has"
         )
     base: Any = env.unwrapped
-    longest = int(base.config["duration"] * base.config["policy_frequency"]) * config.n_envs
+    there = merge(base.config, config.sac.train_env_config)
+    longest = int(there["duration"] * there["policy_frequency"]) * config.n_envs
     if config.sac.learning_starts < longest:
         raise UserError(
             f"sac.learning_starts: expected at least {longest}, {config.n_envs} whole episodes, to "

@@ -12,12 +12,12 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Any
+from typing import Any, get_args
 
 import gymnasium as gym
 from gymnasium.envs.registration import load_env_creator
 
-from esc_agents.config import TrainConfig
+from esc_agents.config import Algorithm, AlgorithmConfig, TrainConfig
 from esc_agents.driving.rule_driver import RuleDriver
 from esc_agents.driving.wrappers import DrivingMonitor, Progress, SeededEpisodes, Worker
 from esc_agents.errors import UserError
@@ -37,6 +37,23 @@ def in_training(config: TrainConfig) -> TrainConfig:
     merged = merge(env_config(config), config.hyperparameters.train_env_config)
     task = config.continuous and config.continuous.model_copy(update={"env_config": {}})
     return config.model_copy(update={"env_config": merged, "continuous": task})
+
+
+def with_env_config(config: TrainConfig, given: dict[str, Any]) -> TrainConfig:
+    """A run in a changed scenario; changed also in what the recipe changes for SAC and training."""
+
+    def merged(own: dict[str, Any]) -> dict[str, Any]:
+        return merge(own, {key: given[key] for key in own.keys() & given.keys()})
+
+    update: dict[str, Any] = {"env_config": merge(config.env_config, given)}
+    if task := config.continuous:
+        more = {"env_config": merged(task.env_config)}
+        update["continuous"] = task.model_copy(update=more)
+    for algo in get_args(Algorithm):
+        own: AlgorithmConfig = getattr(config, algo)
+        more = {"train_env_config": merged(own.train_env_config)}
+        update[algo] = own.model_copy(update=more)
+    return config.model_copy(update=update)
 
 
 def actions(config: TrainConfig) -> dict[str, Any]:

@@ -186,7 +186,7 @@ class Imitation:
         driver = model_policy(self.model) if number else None
         noise = 0.0 if number else config.noise
         generator = np.random.default_rng([config.seed, number])
-        first = int(generator.integers(10**7, 2**31))  # no evaluation has such seeds
+        first = int(generator.integers(10**7, 2**31))  # far above those of evaluations
         drives: list[Drive] = []
         # Two at least, since one is held out.
         while len(drives) < 2 or sum(len(drive.actions) for drive in drives) < config.labels:

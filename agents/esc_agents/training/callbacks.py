@@ -15,7 +15,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter
 from stable_baselines3.common.vec_env import VecEnv
 
-from esc_agents import files
+from esc_agents import files, workers
 from esc_agents.config import TrainConfig
 from esc_agents.driving.episodes import Episode, Summary, check_faults, evaluate, model_policy
 from esc_agents.driving.rule_driver import RULE
@@ -267,13 +267,17 @@ class Checkpoints(BaseCallback):
 class StopOnSignal:
     """Ctrl-C and SIGTERM end training at the next checkpoint; a second one at once.
 
-    Called, it says whether it is to end.
+    Called, it says whether it is to end, also because the process that this one works for wants it.
     """
 
     SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
     def __init__(self) -> None:
-        self.interrupted = False
+        self._signalled = False
+
+    @property
+    def interrupted(self) -> bool:
+        return self._signalled or workers.stop()
 
     def __call__(self) -> bool:
         return self.interrupted
@@ -287,6 +291,6 @@ class StopOnSignal:
             signal.signal(number, handler)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self.interrupted:
+        if self._signalled:
             raise KeyboardInterrupt
-        self.interrupted = True
+        self._signalled = True

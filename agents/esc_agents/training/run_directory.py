@@ -108,6 +108,7 @@ def said(path: Path, program: str) -> Iterator[None]:
     try:
         yield
     except (EOFError, ConnectionError) as error:
+        sys.stdout.flush()  # where nobody reads that any more, this raises: then it is no process
         raise UserError(
             f"the process of an environment died: killed, or out of memory; {again}"
         ) from error

@@ -205,6 +205,7 @@ class Training:
                     config.steps - begun, callback=[*callbacks, *self.listeners],
                     reset_num_timesteps=False, progress_bar=sys.stderr.isatty(),
                 )  # fmt: skip
+                faults.check_weights()  # after the last update no rollout starts
                 model.logger.dump(model.num_timesteps)
                 saved.model = model
                 saved.save()

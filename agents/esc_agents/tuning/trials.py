@@ -75,7 +75,7 @@ def read(path: Path, trust: bool = False) -> Tried | None:
     try:
         return Tried(**records.read(path, SCHEMA, trust))
     except (records.Damaged, TypeError) as damaged:
-        raise UserError(f"{damaged}; remove it, and its run is done anew") from damaged
+        raise UserError(f"{damaged}; remove it, and it is made anew") from damaged
 
 
 def write(path: Path, tried: Tried) -> None:

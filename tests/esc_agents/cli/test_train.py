@@ -11,6 +11,9 @@ import torch
 
 from esc_agents.cli import _one_line, eval as eval_cli, guarded, train as train_cli
 from esc_agents.config import load_config
+from esc_agents.driving.checks import check
+from esc_agents.driving.environments import in_training
+from esc_agents.errors import UserError
 from esc_agents.training.run_directory import open_run
 
 FAST = [
@@ -87,6 +90,27 @@ def test_flags_override_the_scenario(monkeypatch):
     assert config.ppo.train_env_config == {**own, "collision_reward": -9}
     assert config.observation.ranges["x"] == (-30.0, 30.0)
     assert config.encoder.arguments == {"scale": 0.1}
+
+
+def test_the_env_config_that_is_given_beats_the_recipe_in_training_too(monkeypatch):
+    given = "{collision_reward: -20, vehicles_density: 0.6}"
+    config = parsed(
+        monkeypatch, "--env", "highway-dense", "--env-config", given,
+        "--ppo.train-env-config", "{collision_reward: -9}",
+    )  # fmt: skip
+    for each in (config, in_training(config)):
+        assert each.env_config["vehicles_density"] == 0.6
+    assert config.env_config["collision_reward"] == -20
+    assert in_training(config).env_config["collision_reward"] == -9
+    own = load_config("highway-dense").ppo.train_env_config
+    assert in_training(config).env_config["high_speed_reward"] == own["high_speed_reward"]
+
+
+def test_a_scenario_in_a_file_is_no_id(monkeypatch, tmp_path):
+    file = tmp_path / "own.yaml"
+    file.write_text("env: highway-dense\n")
+    with pytest.raises(UserError, match="expected a highway-env id, got a scenario; give --env"):
+        check(parsed(monkeypatch, "--config", file))
 
 
 def test_steps_of_the_other_algorithm(monkeypatch, tmp_path):

@@ -95,23 +95,26 @@ def test_a_local_process_that_dies_is_told(tmp_path):
 
 @dataclass(frozen=True)
 class Trains(Writes):
-    """As training does: goes on until a signal comes, then saves."""
+    """As training does: goes on until it is to stop, then saves; ``seconds`` are before."""
 
     def do(self, out: Path, post: Any) -> None:
+        post(Progress(self.name, 0))
+        time.sleep(self.seconds)
         with StopOnSignal() as stop:
-            post(Progress(self.name, 0))
-            while not stop.interrupted:
+            while not stop():
                 time.sleep(0.05)
         (out / self.name).touch()
         raise Interrupted
 
 
-def test_an_interrupted_comparison_lets_running_jobs_save_and_begins_no_others(tmp_path):
+@pytest.mark.parametrize("delay", [0.0, 3.0], ids=["in training", "before training begins"])
+def test_an_interrupted_comparison_lets_running_jobs_save_and_begins_no_others(tmp_path, delay):
     def interrupt(progress: Progress) -> None:
         raise KeyboardInterrupt
 
+    jobs = [Trains(name, delay) for name in "abc"]
     with pytest.raises(KeyboardInterrupt):
-        LocalEngine(1).run([Trains(n) for n in "abc"], tmp_path, Heard().done, interrupt)
+        LocalEngine(1).run(jobs, tmp_path, Heard().done, interrupt)
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 

@@ -13,6 +13,7 @@ from esc_agents.compare.grid import (
     tuning_cells,
 )
 from esc_agents.config import config_for_env
+from esc_agents.driving.environments import env_config, in_training
 from esc_agents.errors import UserError
 from esc_agents.tuning import settings as tune_settings
 from esc_agents.tuning.settings import TuneConfig
@@ -107,6 +108,40 @@ def test_other_traffic_changes_the_scenario_and_nothing_else():
 def test_wrong_training_settings(changes, message):
     with pytest.raises(UserError, match=message):
         scenario(small(**changes), ENV)
+
+
+def test_a_name_with_the_namespace_is_the_same_scenario():
+    assert small(env=(f"esc_gym/{ENV}", ENV)).env == (ENV,)
+
+
+def test_other_traffic_is_other_also_where_the_recipe_changes_it():
+    """In training, and for SAC."""
+    own = config_for_env("highway-dense").ppo.train_env_config["vehicles_density"]
+    sparse = {"highway-dense": {"sparse": {"vehicles_density": 0.6}}}
+    config = small(env=("highway-dense",), transfer=sparse, train={})
+    assert in_training(scenario(config, "highway-dense")).env_config["vehicles_density"] == own
+    there = scenario(config, "highway-dense", "sparse")
+    assert {env_config(c)["vehicles_density"] for c in (there, in_training(there))} == {0.6}
+    busy = {"intersection-dense": {"busy": {"spawn_probability": 0.9}}}
+    config = small(env=("intersection-dense",), transfer=busy, train={}, algo="sac")
+    assert env_config(scenario(config, "intersection-dense"))["spawn_probability"] != 0.9
+    there = scenario(config, "intersection-dense", "busy")
+    assert {env_config(c)["spawn_probability"] for c in (there, in_training(there))} == {0.9}
+
+
+def test_further_fields_beat_what_the_recipe_changes():
+    fields = {"env_config": {"collision_reward": -7}}
+    config = small(env=("highway-dense",), transfer={}, train=fields, algo="sac")
+    assert env_config(scenario(config, "highway-dense"))["collision_reward"] == -7
+    said = {**fields, "ppo": {"train_env_config": {"collision_reward": -3}}}
+    run = scenario(small(env=("highway-dense",), transfer={}, train=said), "highway-dense")
+    assert env_config(run)["collision_reward"] == -7
+    assert in_training(run).env_config["collision_reward"] == -3
+
+
+def test_a_traffic_that_makes_another_representation_of_one():
+    with pytest.raises(UserError, match="other representation of one, got 'exp': esc-exp"):
+        check_transfer(small(repr=("esc", "esc-exp"), transfer={ENV: {"exp": {}}}))
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 from esc_agents.config import TrainConfig, config_for_env, scenarios
+from esc_agents.driving.checks import check
 from esc_agents.driving.environments import check_actions, env_config, factories, make_env
 from esc_agents.driving.wrappers import DrivingMonitor, Progress, SeededEpisodes
 from esc_agents.errors import UserError
@@ -278,3 +279,12 @@ def test_shuffling_permutes_rows_and_nothing_else():
 def test_factories_make_separate_environments():
     first, second = (factory() for factory in factories(tiny(), 2))
     assert first.unwrapped is not second.unwrapped
+
+
+@pytest.mark.parametrize("seed", [1_000_000, 999_999, 1_000_019])
+def test_training_has_no_episode_of_the_evaluations(seed):
+    judged = {"episodes": 20}
+    with pytest.raises(UserError, match=f"have the seeds 1000000 to 1000019; got {seed} for"):
+        check(tiny(seed=seed, evaluation=judged))
+    for free in (999_998, 1_000_020):
+        check(tiny(seed=free, evaluation=judged))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from esc_agents.cli import learning as learning_cli
-from esc_agents.config import TrainConfig, dump, load_config, scenario_name
+from esc_agents.config import TrainConfig, dump, load_config, scenario_name, scenarios
 from esc_agents.driving.episodes import Episode, Summary, as_rows
 from esc_agents.errors import UserError
 from esc_agents.training.run_directory import write_checksums
@@ -104,7 +104,7 @@ def test_the_rule_driver_is_no_blind_policy(make_run, tmp_path):
 def test_an_unknown_scenario_is_called_by_its_id():
     config = TrainConfig(env="merge-v1", env_config={"duration": 3})
     assert scenario_name(config) == "merge-v1"
-    assert scenario_name(load_config("highway-dense")) == "highway-dense"
+    assert [scenario_name(load_config(name)) for name in scenarios()] == [*scenarios()]
 
 
 @pytest.mark.parametrize("name", ["results.json", "SHA256SUMS", "config.yaml"])

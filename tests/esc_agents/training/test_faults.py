@@ -160,6 +160,35 @@ def test_a_loss_that_is_not_finite(tmp_path, monkeypatch):
         train(tiny(steps=64, run_dir=tmp_path / "run"))
 
 
+def test_weights_that_are_not_finite_after_the_last_update(tmp_path, monkeypatch):
+    """The last checkpoint is from before it."""
+
+    def poison(self):
+        with torch.no_grad():
+            next(iter(self.model.policy.parameters()))[0] = float("nan")
+
+    monkeypatch.setattr(callbacks.DrivingLog, "_on_training_end", poison)
+    with pytest.raises(UserError, match=r"step 32: after an update .*(weight|bias) is not finite"):
+        train(tiny(steps=32, checkpoint_every=16, run_dir=tmp_path / "run"))
+    assert [int(path.stem) for path in in_order(tmp_path / "run" / "checkpoints")] == [0]
+    assert not (tmp_path / "run" / "policy.json").exists()
+
+
+def test_people_who_stop_reading_are_no_process_that_died(tmp_path, monkeypatch):
+    class Closed:
+        def flush(self):
+            raise BrokenPipeError
+
+    monkeypatch.setattr("sys.stdout", Closed())
+    with pytest.raises(BrokenPipeError), run_directory.said(tmp_path, "esc-train"):
+        raise BrokenPipeError
+
+
+def test_a_machine_without_git(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    assert files.versions()["python"]
+
+
 @pytest.mark.slow
 def test_a_worker_that_dies(tmp_path, monkeypatch):
     def die(self):

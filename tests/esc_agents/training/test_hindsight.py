@@ -86,6 +86,10 @@ def test_a_collision_costs_what_it_costs_whatever_the_goal():
     [
         ({"observation": {}}, "sac.hindsight: expected observation.goal true, got false"),
         ({"sac": {**HER, "learning_starts": 19}}, "sac.learning_starts: expected at least 20"),
+        (
+            {"sac": {**HER, "train_env_config": {"duration": 1000}}},
+            "sac.learning_starts: expected at least",
+        ),
     ],
 )
 def test_mistakes(changes, message):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from shutil import copytree
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import yaml
 from esc_agents.cli.tune import command
 from esc_agents.compare.jobs import Interrupted
 from esc_agents.config import load_config, shipped
+from esc_agents.driving.environments import in_training
 from esc_agents.errors import UserError
 from esc_agents.training.run_directory import read_evaluations
 from esc_agents.tuning import trials
@@ -145,6 +147,22 @@ def test_a_run_below_the_bar_is_ended(tmp_path):
     assert found.returns == saved["results"].mean(axis=1).tolist()
 
 
+def test_a_finished_run_of_other_settings_is_not_taken(whole, tmp_path):
+    copytree(whole / "runs", tmp_path / "runs")
+    before = trials.read(trials.path_of(whole, 1))
+    assert before
+    changed = {**before.parameters, "ppo.learning_rate": 0.5}
+    with pytest.raises(UserError, match="trained with other settings; remove it"):
+        TrialJob(SMALL, 1, changed).do(tmp_path, print)
+    assert not trials.path_of(tmp_path, 1).exists()
+
+
+def test_what_is_searched_in_the_scenario_is_also_in_training():
+    config = SMALL.model_copy(update={"env": "highway-dense", "train": {}})
+    run = train_config(config, {"env_config.collision_reward": -8}, 0)
+    assert {c.env_config["collision_reward"] for c in (run, in_training(run))} == {-8}
+
+
 def test_settings_that_cannot_be_trained_with(tmp_path):
     space = {"ppo.batch_size": {"choices": [4096]}}
     config = SMALL.model_copy(update={"space": space, "trials": 2, "finalists": 0})
@@ -166,7 +184,7 @@ def test_a_damaged_trial_is_named(whole, tmp_path):
     path = tmp_path / "trials" / "000.json"
     path.parent.mkdir()
     path.write_bytes((whole / "trials" / "000.json").read_bytes()[:-9])
-    with pytest.raises(UserError, match=r"000\.json.*remove it, and its run is done anew"):
+    with pytest.raises(UserError, match=r"000\.json.*remove it, and it is made anew"):
         trials.read(path)
 
 
