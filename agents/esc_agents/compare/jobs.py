@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
@@ -96,9 +96,8 @@ class TrainJob:
         return [store.run_folder(out, self.cell), store.path_of(out, self.cell)]
 
     def do(self, out: Path, post: Post) -> None:
-        start = time.perf_counter()
         config, folder = run_config(self.config, self.cell, self.slots), self.files(out)[0]
-        with into_log(folder):
+        with into_log(folder) as seconds:
             if self.config.learn == "imitate":
                 labelled = imitate_config(self.config, self.cell, self.slots)
                 imitate_into(labelled, folder, post, self.name, self.trust)
@@ -111,12 +110,12 @@ class TrainJob:
             if self.cell.tuning:
                 saved = read_evaluations(folder / "evaluations.npz")
                 returns = saved["results"][-JUDGED:].ravel().tolist()
-                took = time.perf_counter() - start
-                store.write(out, Tuned(self.cell, returns, took, files.versions()))
+                store.write(out, Tuned(self.cell, returns, seconds(), files.versions()))
             else:
-                store.write(out, self._measured(config, folder, start))
+                measured = self._measured(config, folder)
+                store.write(out, replace(measured, seconds=seconds()))
 
-    def _measured(self, config: TrainConfig, folder: Path, start: float) -> Result:
+    def _measured(self, config: TrainConfig, folder: Path) -> Result:
         cell, episodes = self.cell, range(EPISODES, EPISODES + self.config.episodes)
         policy, _ = load_policy(folder, "cpu", trust=self.trust)
         encoder = encoder_of(policy)
@@ -139,7 +138,7 @@ class TrainJob:
         return Result(
             cell, vehicles, slots, (parameter_count(encoder), parameter_count(policy)),
             config.model_dump(mode="json"), curve, drives, shuffled, order, churn,
-            time.perf_counter() - start, files.versions(),
+            0.0, files.versions(),
         )  # fmt: skip
 
 
@@ -165,12 +164,22 @@ class BaselineJob:
 
 
 @contextmanager
-def into_log(folder: Path) -> Iterator[None]:
-    """What a run prints, into a file beside its directory."""
+def into_log(folder: Path) -> Iterator[Callable[[], float]]:
+    """What a run prints, into a file beside its directory.
+
+    Yields what says how many seconds it has taken, with those of sessions that were interrupted.
+    """
     folder.parent.mkdir(parents=True, exist_ok=True)
     log = folder.with_name(f"{folder.name}.log").open("a", encoding="utf-8")
+    noted = folder.with_name(f"{folder.name}.seconds")
+    start = time.perf_counter() - (float(noted.read_text()) if noted.is_file() else 0.0)
     with log, redirect_stdout(log), redirect_stderr(log):
-        yield
+        try:
+            yield lambda: time.perf_counter() - start
+        except Interrupted:
+            files.write_text(noted, str(time.perf_counter() - start))
+            raise
+        noted.unlink(missing_ok=True)
 
 
 def train_into(

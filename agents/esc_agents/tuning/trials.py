@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -126,9 +125,9 @@ class TrialJob:
         return [out / "runs" / f"{path.parent.name}-{path.stem}", path]
 
     def do(self, out: Path, post: Post) -> None:
-        start, pruned = time.perf_counter(), False
+        pruned = False
         folder, path = self.files(out)
-        with into_log(folder):
+        with into_log(folder) as seconds:
             judge = _Judge(folder / "evaluations.npz", self.bars)
             try:
                 train_into(self._train_config(), folder, post, self.name, self.trust, [judge])
@@ -137,10 +136,9 @@ class TrialJob:
             rmtree(folder / "checkpoints", ignore_errors=True)
             saved = read_evaluations(folder / "evaluations.npz")
             tried = partial(Tried, self.number, self.parameters, self.seed or 0)
-            took = time.perf_counter() - start
             write(path, tried(
                 saved["timesteps"].tolist(), saved["results"].mean(axis=1).tolist(),
-                saved["crashed"].mean(axis=1).tolist(), pruned, "", took, files.versions(),
+                saved["crashed"].mean(axis=1).tolist(), pruned, "", seconds(), files.versions(),
             ))  # fmt: skip
 
 
