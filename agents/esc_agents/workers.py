@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import Any
 
@@ -12,6 +15,22 @@ SPAWN = get_context("spawn")  # torch's threads do not survive a fork
 
 
 _stopping: Any = None  # the event of ``follow_parent``
+
+
+@contextmanager
+def out_of_reach() -> Iterator[None]:
+    """Processes that begin in here never get Ctrl-C, which reaches a whole group of processes.
+
+    Nor while they still import; this process gets it afterwards.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def follow_parent(stopping: Any = None) -> None:

@@ -48,8 +48,9 @@ class LocalEngine:
         posts, stopping = SPAWN.Queue(), SPAWN.Event()
         count = min(self.workers, len(jobs))
         pool = ProcessPoolExecutor(count, SPAWN, _start_worker, (posts, stopping, list(sys.path)))
-        running: dict[Future, Job] = {pool.submit(_work, job, out): job for job in jobs}
         try:
+            with workers.out_of_reach():
+                running: dict[Future, Job] = {pool.submit(_work, job, out): job for job in jobs}
             while running:
                 ended, _ = wait(running, timeout=0.5, return_when="FIRST_COMPLETED")
                 for progress in _waiting(posts):

@@ -72,9 +72,11 @@ def is_above(ours: Summary, blind: Mapping[str, Summary]) -> bool:
 
 
 def verdict(name: str, ours: Summary, blind: Mapping[str, Summary]) -> str:
-    """One sentence: is a policy above all those that never look?"""
-    best = best_blind(blind)
-    judged = "above" if is_above(ours, blind) else "not clearly above"
+    """One sentence: is a policy above all those that never look? Else the best that it may not be
+    above stands beside it."""
+    rivals = [each for each in blind if blind[each].reward_high >= ours.reward_low]
+    best = max(rivals, key=lambda each: blind[each].reward) if rivals else best_blind(blind)
+    judged = "not clearly above" if rivals else "above"
     return (
         f"{name} is {judged} every policy that never looks: {return_of(ours)} beside "
         f"{return_of(blind[best])} of {best}."

@@ -13,6 +13,7 @@ from esc_agents.config import TrainConfig
 from esc_agents.driving.batch import BatchVecEnv, cores
 from esc_agents.driving.environments import factories, make_env
 from esc_agents.errors import UserError
+from esc_agents.workers import out_of_reach
 from esc_gym.fastsim import report
 from esc_gym.vector.families import family_of
 from esc_gym.vector.objects import reset_quietly
@@ -42,7 +43,8 @@ def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
     if "forkserver" in multiprocessing.get_all_start_methods():
         # Workers are forked off a process that has imported all this, instead of each importing.
         multiprocessing.get_context("forkserver").set_forkserver_preload(WORKERS_IMPORT)
-    return SubprocVecEnv(made)
+    with out_of_reach():
+        return SubprocVecEnv(made)
 
 
 def unknown_to_engine(config: TrainConfig) -> str:

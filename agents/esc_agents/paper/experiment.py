@@ -22,7 +22,7 @@ from esc_agents.paper.cells import CODE_DIM, INIT, Cell, overtaking, train
 from esc_agents.paper.results import Result
 from esc_agents.paper.targets import MAX_VEHICLES
 from esc_agents.reporting.records import Damaged
-from esc_agents.workers import SPAWN, follow_parent
+from esc_agents.workers import SPAWN, follow_parent, out_of_reach
 from esc_gym.encoders import APEncoder, representation
 
 STUDIES: dict[str, list[dict[str, Any]]] = {
@@ -80,12 +80,13 @@ def run(
         return
     done = SPAWN.Value("d", 0.0)
     pool = ProcessPoolExecutor(workers, SPAWN, _start_worker, (done,))
-    jobs = [
-        pool.submit(train_cells, group, updates, device, out)
-        for group in groups(missing, together=device != "cpu")
-    ]
     finished_now = 0
     try:
+        with out_of_reach():
+            jobs = [
+                pool.submit(train_cells, group, updates, device, out)
+                for group in groups(missing, together=device != "cpu")
+            ]
         with _progress(sum(updates * cost(cell) for cell in missing), done):
             for job in as_completed(jobs):
                 for result in job.result():

@@ -56,7 +56,7 @@ def train(
     directory = resume or config.run_dir or run_directory.default_run_dir(config)
     with run_directory.said(directory, "esc-train"), ExitStack() as stack:
         if resume:
-            _check_unfinished(config, resume)
+            _check_unfinished(config, resume, trust)
             stack.enter_context(run_directory.locked(resume))
         else:
             run_directory.check_free(directory)
@@ -82,22 +82,22 @@ def _vectorised(config: TrainConfig) -> Iterator[VecEnv]:
     yield vectorise(config, min(config.n_envs, config.evaluation.episodes), evaluation=True)
 
 
-def _check_unfinished(config: TrainConfig, directory: Path) -> None:
+def _check_unfinished(config: TrainConfig, directory: Path, trust: bool) -> None:
     if (directory / run_directory.IMITATE).exists():
         raise UserError(
             f"{directory} is a run of esc-imitate: continue it with esc-imitate --resume, or begin "
             f"a run with its weights, with --start-from {directory}"
         )
-    if not run_directory.finished(directory):
-        return
+    finished = run_directory.finished(directory)
     found = checkpoint.in_order(directory / "checkpoints")
-    if not found:
+    if finished and not found:
         raise UserError(
             f"{directory} is finished, and without checkpoints it cannot go on; for more steps "
             f"start anew, in another directory: esc-train --config {directory / 'config.yaml'}"
         )
-    steps = int(found[-1].stem)
-    if steps >= config.steps:
+    other = config.steps != run_directory.open_run(directory, trust).steps
+    steps = int(found[-1].stem) if found else 0
+    if (finished or other) and steps >= config.steps:
         raise UserError(
             f"{directory} has {steps:,} of {config.steps:,} steps already; ask for more with "
             "--steps"
@@ -166,7 +166,10 @@ class Training:
             names = action_names(self.probe)
             found_out = results(config, model_policy(model), self.judges, names, rule, stop)
         if stop.interrupted:
-            say(f"Stopped after {model.num_timesteps:,} steps; the model is saved.")
+            at, kept = model.num_timesteps, checkpoint.in_order(directory / "checkpoints")
+            begins = int(kept[-1].stem) if kept else 0
+            back = f" From step {begins:,} on it is done again." if begins < at else ""
+            say(f"Stopped after {at:,} steps; the model is saved.{back}")
             say(f"Continue with: esc-train --resume {directory}")
             return False
         finish(config, directory, found_out, f"{config.algo}, {model.num_timesteps:,} steps")

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from esc_agents import workers
 from esc_agents.compare.comparison import compare
 from esc_agents.compare.engines import LocalEngine, RayEngine, _check_answers
 from esc_agents.compare.jobs import Interrupted, Progress, into_log
@@ -285,3 +286,22 @@ def test_a_run_took_what_its_interrupted_sessions_took_too(tmp_path, monkeypatch
         with into_log(tmp_path / "run") as seconds:
             now[0] += 3
             assert seconds() == expected
+
+
+@dataclass(frozen=True)
+class Masked(Writes):
+    """Says whether Ctrl-C can reach its process, from its first instant on."""
+
+    def do(self, out: Path, post: Any) -> None:
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+        (out / self.name).write_text(str(signal.SIGINT in blocked))
+
+
+def test_ctrl_c_reaches_no_worker_and_the_comparison_afterwards(tmp_path):
+    run(LocalEngine(1), [Masked("a")], tmp_path)
+    assert (tmp_path / "a").read_text() == "True"
+    reached = []
+    with pytest.raises(KeyboardInterrupt), workers.out_of_reach():
+        reached += [signal.raise_signal(signal.SIGINT), "here"]
+    assert reached[-1] == "here"
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])

@@ -33,3 +33,12 @@ def test_the_interval_that_reaches_highest_counts(returns, expected):
 def test_a_narrow_rival_may_be_the_best():
     blind = {name: BLIND[name] for name in ("always SLOWER",)} | {"random": summary(1.0, 1.0)}
     assert verdict("esc", summary(8.0, 8.0), blind).endswith("7.00 [6.75, 7.25] of always SLOWER.")
+
+
+def test_beside_the_best_of_those_that_a_policy_may_not_be_above():
+    blind = {
+        "wide": summary(-80.0, 100.0), "better": summary(*[19.0, 20.0, 21.0] * 5),
+        "less": summary(*[1.0, 2.0, 3.0] * 5),
+    }  # fmt: skip
+    assert verdict("esc", summary(*[15.0, 16.0, 17.0] * 5), blind).endswith(" of better.")
+    assert verdict("esc", summary(*[24.0, 25.0, 26.0] * 5), blind).endswith(" of wide.")

@@ -187,3 +187,34 @@ def test_metrics_have_neither_gap_nor_repeat(whole):
     steps = [int(row.partition(",")[0]) for row in rows]
     assert steps == sorted(set(steps))
     assert steps[-1] == 160
+
+
+@pytest.fixture
+def stopped_at_20(monkeypatch):
+    def interrupt(self):
+        if self.num_timesteps == 20:
+            signal.raise_signal(signal.SIGINT)
+        return True
+
+    with monkeypatch.context() as patched:
+        patched.setattr(callbacks.DrivingLog, "_on_step", interrupt)
+        yield patched
+
+
+def test_fewer_steps_than_an_unfinished_run_has_are_refused(tmp_path, stopped_at_20):
+    """Its training would be done without a word, and config.yaml would say what is not so."""
+    run = tmp_path / "run"
+    assert not train(tiny(steps=96, run_dir=run, evaluation={"episodes": 1, "every": 64}))
+    stopped_at_20.undo()
+    begun = run_directory.open_run(run)
+    with pytest.raises(UserError, match="has 32 of 16 steps already; ask for more with --steps"):
+        train(begun.model_copy(update={"steps": 16}), resume=run)
+    assert run_directory.open_run(run).steps == 96
+    assert train(begun.model_copy(update={"steps": 64}), resume=run)
+
+
+def test_where_a_run_that_was_stopped_in_an_evaluation_goes_on(tmp_path, stopped_at_20, capsys):
+    """Which is at step 32, in the midst of a rollout's callbacks."""
+    assert not train(tiny(steps=96, run_dir=tmp_path / "run"))
+    printed = capsys.readouterr().out
+    assert "Stopped after 32 steps; the model is saved. From step 0 on it is done again." in printed
