@@ -25,7 +25,6 @@ def check(config: TrainConfig) -> gym.Env:
     except ValueError as error:
         raise UserError(f"repr: {error}") from error
     check_device(config.device)
-    _check_seeds(config)
     env = check_env(config)
     if config.hyperparameters.train_env_config:
         _check_training(config, env)
@@ -48,7 +47,8 @@ def check(config: TrainConfig) -> gym.Env:
     return env
 
 
-def _check_seeds(config: TrainConfig) -> None:
+def check_seeds(config: TrainConfig) -> None:
+    """Raises UserError where training would begin with episodes of the evaluations."""
     first, last = config.evaluation.seed, config.evaluation.seed + config.evaluation.episodes - 1
     if first - config.n_envs < config.seed <= last:
         raise UserError(

@@ -20,7 +20,7 @@ from torch.utils.tensorboard import SummaryWriter
 from esc_agents import files
 from esc_agents.config import TrainConfig
 from esc_agents.driving.baselines import action_names
-from esc_agents.driving.checks import check
+from esc_agents.driving.checks import check, check_seeds
 from esc_agents.driving.environments import in_training, wrapper_json
 from esc_agents.driving.episodes import Summary, model_policy, seeds
 from esc_agents.driving.policies import save_policy, start_from
@@ -59,6 +59,7 @@ def train(
             _check_unfinished(config, resume, trust)
             stack.enter_context(run_directory.locked(resume))
         else:
+            check_seeds(config)
             run_directory.check_free(directory)
         probe = check(config)
         envs, judges = (stack.enter_context(closing(made)) for made in _vectorised(config))

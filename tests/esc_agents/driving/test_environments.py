@@ -10,10 +10,11 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 from esc_agents.config import TrainConfig, config_for_env, scenarios
-from esc_agents.driving.checks import check
+from esc_agents.driving.checks import check_seeds
 from esc_agents.driving.environments import check_actions, env_config, factories, make_env
 from esc_agents.driving.wrappers import DrivingMonitor, Progress, SeededEpisodes
 from esc_agents.errors import UserError
+from esc_agents.training.train import train
 from esc_gym.fastsim.behavior import original_behavior
 from tests.esc_agents.tiny import ROAD, tiny
 
@@ -282,9 +283,10 @@ def test_factories_make_separate_environments():
 
 
 @pytest.mark.parametrize("seed", [1_000_000, 999_999, 1_000_019])
-def test_training_has_no_episode_of_the_evaluations(seed):
+def test_training_has_no_episode_of_the_evaluations(seed, tmp_path):
     judged = {"episodes": 20}
     with pytest.raises(UserError, match=f"have the seeds 1000000 to 1000019; got {seed} for"):
-        check(tiny(seed=seed, evaluation=judged))
+        train(tiny(seed=seed, evaluation=judged, run_dir=tmp_path / "run"))
+    assert not (tmp_path / "run").exists()
     for free in (999_998, 1_000_020):
-        check(tiny(seed=free, evaluation=judged))
+        check_seeds(tiny(seed=free, evaluation=judged))
