@@ -36,14 +36,14 @@ def out_of_reach() -> Iterator[None]:
 def follow_parent(stopping: Any = None) -> None:
     """End with the parent process, even where it is killed: nobody would keep what is done.
 
-    stopping: an event of the parent's, which it sets when this process is to ``stop``.
+    stopping: an event of the parent's, which it sets when this process is to stop.
     """
     global _stopping
     _stopping = stopping
     threading.Thread(target=_follow, daemon=True).start()
 
 
-def stop() -> bool:
+def asked_to_stop() -> bool:
     """Whether the parent process wants this one to come to an end."""
     return _stopping is not None and _stopping.is_set()
 

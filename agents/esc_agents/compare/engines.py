@@ -21,7 +21,6 @@ from typing import Any, Protocol
 from esc_agents import files, workers
 from esc_agents.compare.jobs import Interrupted, Job, Post, Progress, collected
 from esc_agents.errors import UserError
-from esc_agents.workers import SPAWN, follow_parent
 
 CONNECT_SECONDS = 15
 START = "start Ray there with: ray start --head"
@@ -45,9 +44,10 @@ class LocalEngine:
         self.workers = workers
 
     def run(self, jobs: Sequence[Job], out: Path, done: Done, post: Post) -> None:
-        posts, stopping = SPAWN.Queue(), SPAWN.Event()
+        posts, stopping = workers.SPAWN.Queue(), workers.SPAWN.Event()
         count = min(self.workers, len(jobs))
-        pool = ProcessPoolExecutor(count, SPAWN, _start_worker, (posts, stopping, list(sys.path)))
+        given = posts, stopping, list(sys.path)
+        pool = ProcessPoolExecutor(count, workers.SPAWN, _start_worker, given)
         try:
             with workers.out_of_reach():
                 running: dict[Future, Job] = {pool.submit(_work, job, out): job for job in jobs}
@@ -82,11 +82,11 @@ def _start_worker(posts: Any, stopping: Any, path: list[str]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "setsid"):
         os.setsid()
-    follow_parent(stopping)
+    workers.follow_parent(stopping)
 
 
 def _work(job: Job, out: Path) -> None:
-    if workers.stop():
+    if workers.asked_to_stop():
         raise Interrupted
     job.do(out, _posts.put)
 

@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
@@ -97,7 +97,7 @@ class TrainJob:
 
     def do(self, out: Path, post: Post) -> None:
         config, folder = run_config(self.config, self.cell, self.slots), self.files(out)[0]
-        with into_log(folder) as seconds:
+        with session(folder) as seconds:
             if self.config.learn == "imitate":
                 labelled = imitate_config(self.config, self.cell, self.slots)
                 imitate_into(labelled, folder, post, self.name, self.trust)
@@ -112,10 +112,9 @@ class TrainJob:
                 returns = saved["results"][-JUDGED:].ravel().tolist()
                 store.write(out, Tuned(self.cell, returns, seconds(), files.versions()))
             else:
-                measured = self._measured(config, folder)
-                store.write(out, replace(measured, seconds=seconds()))
+                store.write(out, self._measured(config, folder, seconds))
 
-    def _measured(self, config: TrainConfig, folder: Path) -> Result:
+    def _measured(self, config: TrainConfig, folder: Path, seconds: Callable[[], float]) -> Result:
         cell, episodes = self.cell, range(EPISODES, EPISODES + self.config.episodes)
         policy, _ = load_policy(folder, "cpu", trust=self.trust)
         encoder = encoder_of(policy)
@@ -138,7 +137,7 @@ class TrainJob:
         return Result(
             cell, vehicles, slots, (parameter_count(encoder), parameter_count(policy)),
             config.model_dump(mode="json"), curve, drives, shuffled, order, churn,
-            0.0, files.versions(),
+            seconds(), files.versions(),
         )  # fmt: skip
 
 
@@ -164,8 +163,8 @@ class BaselineJob:
 
 
 @contextmanager
-def into_log(folder: Path) -> Iterator[Callable[[], float]]:
-    """What a run prints, into a file beside its directory.
+def session(folder: Path) -> Iterator[Callable[[], float]]:
+    """Work on a run, whose output goes into a file beside its directory.
 
     Yields what says how many seconds it has taken, with those of sessions that were interrupted.
     """

@@ -66,17 +66,23 @@ def best_blind(blind: Mapping[str, Summary]) -> str:
     return max(blind, key=lambda name: blind[name].reward_high)
 
 
+def rivals(ours: Summary, blind: Mapping[str, Summary]) -> list[str]:
+    """The policies that never look whose intervals of the return reach ours."""
+    return [name for name in blind if blind[name].reward_high >= ours.reward_low]
+
+
 def is_above(ours: Summary, blind: Mapping[str, Summary]) -> bool:
     """Whether the interval of our return lies above those of all policies that never look."""
-    return ours.reward_low > blind[best_blind(blind)].reward_high
+    return not rivals(ours, blind)
 
 
 def verdict(name: str, ours: Summary, blind: Mapping[str, Summary]) -> str:
     """One sentence: is a policy above all those that never look? Else the best that it may not be
     above stands beside it."""
-    rivals = [each for each in blind if blind[each].reward_high >= ours.reward_low]
-    best = max(rivals, key=lambda each: blind[each].reward) if rivals else best_blind(blind)
-    judged = "not clearly above" if rivals else "above"
+    if near := rivals(ours, blind):
+        judged, best = "not clearly above", max(near, key=lambda each: blind[each].reward)
+    else:
+        judged, best = "above", best_blind(blind)
     return (
         f"{name} is {judged} every policy that never looks: {return_of(ours)} beside "
         f"{return_of(blind[best])} of {best}."

@@ -277,7 +277,7 @@ class StopOnSignal:
 
     @property
     def interrupted(self) -> bool:
-        return self._signalled or workers.stop()
+        return self._signalled or workers.asked_to_stop()
 
     def __call__(self) -> bool:
         return self.interrupted

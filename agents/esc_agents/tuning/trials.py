@@ -19,7 +19,7 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
 from esc_agents import files
-from esc_agents.compare.jobs import JUDGED, Post, into_log, train_into
+from esc_agents.compare.jobs import JUDGED, Post, session, train_into
 from esc_agents.errors import UserError
 from esc_agents.reporting import records
 from esc_agents.training.run_directory import read_evaluations
@@ -127,7 +127,7 @@ class TrialJob:
     def do(self, out: Path, post: Post) -> None:
         pruned = False
         folder, path = self.files(out)
-        with into_log(folder) as seconds:
+        with session(folder) as seconds:
             judge = _Judge(folder / "evaluations.npz", self.bars)
             try:
                 train_into(self._train_config(), folder, post, self.name, self.trust, [judge])

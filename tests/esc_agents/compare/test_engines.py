@@ -17,7 +17,7 @@ import pytest
 from esc_agents import workers
 from esc_agents.compare.comparison import compare
 from esc_agents.compare.engines import LocalEngine, RayEngine, _check_answers
-from esc_agents.compare.jobs import Interrupted, Progress, into_log
+from esc_agents.compare.jobs import Interrupted, Progress, session
 from esc_agents.errors import UserError
 from esc_agents.training.callbacks import StopOnSignal
 from tests.esc_agents.compare.small import measured, small
@@ -280,10 +280,10 @@ def test_a_run_took_what_its_interrupted_sessions_took_too(tmp_path, monkeypatch
         now[0] += 7
         raise Interrupted
 
-    with pytest.raises(Interrupted), into_log(tmp_path / "run"):
+    with pytest.raises(Interrupted), session(tmp_path / "run"):
         stopped()
     for expected in (7 + 3, 3):  # the second time of a run that is done anew
-        with into_log(tmp_path / "run") as seconds:
+        with session(tmp_path / "run") as seconds:
             now[0] += 3
             assert seconds() == expected
 
