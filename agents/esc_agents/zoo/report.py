@@ -37,9 +37,9 @@ recipe, or of imitation of a planner, with as many episodes each from seed {firs
 training saw; brackets hold 95 % intervals over all of these episodes. The agent that is kept is the
 run which was best at its own evaluations in training. "Above both": the interval of the return lies
 above those of every policy that never looks, and of IDM/MOBIL, on the same episodes. The planner
-knows all, what the others want too, and tries every action in copies of the scene: a reference, and
-no driver for a road. Steps: of
-training, or labels "by imitation". Minutes: of one run, measured.
+knows all, what the others want too, and tries every first action in copies of the scene: a
+reference, and no driver for a road; `esc-eval --expert planner` tries every second one, too, and
+drives better. Steps: of training, or labels "by imitation". Minutes: of one run, measured.
 
     esc-eval --pretrained NAME
     esc-train --env SCENARIO --start-from zoo:NAME    # NAME-attention: --repr attention
