@@ -39,7 +39,8 @@ run which was best at its own evaluations in training. "Above both": the interva
 above those of every policy that never looks, and of IDM/MOBIL, on the same episodes. The planner
 knows all, what the others want too, and tries every first action in copies of the scene: a
 reference, and no driver for a road; `esc-eval --expert planner` tries every second one, too, and
-in the dense scenarios drives better. Steps: of training, or labels "by imitation". Minutes: of one run, measured.
+in the dense scenarios drives better. Steps: of training, or labels "by imitation". Minutes: of one
+run, measured.
 
     esc-eval --pretrained NAME
     esc-train --env SCENARIO --start-from zoo:NAME    # NAME-attention: --repr attention
