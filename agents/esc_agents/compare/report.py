@@ -47,7 +47,8 @@ Return: mean over runs, with a stratified bootstrap 95 % interval; IQM: mean of 
 the runs. Collisions: of all episodes of all runs, with Wilson's interval. Of drivers that learn \
 nothing the intervals are over episodes. Min TTC: median over episodes of the least time to \
 collision. Every driver drove the same episodes. The planner, where there is one, tries every \
-first action, and is no more than a reference: `esc-eval --expert planner` tries every second one, too."""
+first action, and is no more than a reference: `esc-eval --expert planner` tries every \
+second one, too."""
 
 
 def write_report(out: Path, trust: bool = False) -> None:
