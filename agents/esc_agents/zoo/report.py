@@ -7,6 +7,7 @@ and the page says what is in it.
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from shutil import rmtree
@@ -16,7 +17,7 @@ from esc_agents import files, pretrained
 from esc_agents.compare import store
 from esc_agents.compare.films import shown, together
 from esc_agents.compare.grid import EPISODES, IMITATION
-from esc_agents.config import TrainConfig
+from esc_agents.config import Model, TrainConfig
 from esc_agents.driving.baselines import best_blind, is_above
 from esc_agents.driving.episodes import Summary, model_policy, return_of
 from esc_agents.driving.experts import PLANNER
@@ -24,6 +25,7 @@ from esc_agents.driving.films import gif, record
 from esc_agents.driving.policies import load_policy
 from esc_agents.driving.rule_driver import RULE
 from esc_agents.errors import say
+from esc_agents.imitation.settings import ImitateConfig
 from esc_agents.reporting.tables import markdown
 from esc_agents.training.run_directory import commands, write_checksums
 from esc_agents.yaml_text import flow
@@ -132,7 +134,7 @@ def row(agent: Kept) -> dict[str, Any]:
         PLANNER: said(planner) if planner else "",
         "above both": "yes" if above(agent) else "no",
         "runs x episodes": f"{len(agent.runs)} x {len(agent.chosen.drives[''])}",
-        "steps": f"{steps(agent):,}{' by imitation' * (agent.chosen.cell.algo == IMITATION)}",
+        "steps": steps(agent),
         "minutes": f"{minutes:.0f}",
     }
 
@@ -151,8 +153,18 @@ def above(agent: Kept) -> bool:
     )
 
 
-def steps(agent: Kept) -> int:
-    return TrainConfig.model_validate(agent.chosen.config).steps
+def steps(agent: Kept) -> str:
+    """Of training, or labels, or both."""
+    own = f"{TrainConfig.model_validate(agent.chosen.config).steps:,}"
+    if agent.chosen.cell.algo == IMITATION:
+        return f"{own} by imitation"
+    teacher = taught_by(agent)
+    return f"{labels(teacher)} by imitation, then {own}" if teacher else own
+
+
+def labels(teacher: dict[str, Any]) -> str:
+    """Of ``taught_by``: what each run learned from at least."""
+    return f"{ImitateConfig.model_validate(_given(teacher)).train_config().steps:,}"
 
 
 def crashes(summary: Summary) -> str:
@@ -196,25 +208,58 @@ def learned(agent: Kept) -> str:
     config, way = TrainConfig.model_validate(agent.chosen.config), agent.chosen.cell.algo
     if way == IMITATION:
         return f"learned by imitation of a planner, from {config.steps:,} labels or more"
-    return f"trained with {way.upper()} for {config.steps:,} steps"
+    words = f"trained with {way.upper()} for {config.steps:,} steps"
+    if teacher := taught_by(agent):
+        return f"{words}, after imitation of a planner, from {labels(teacher)} labels or more"
+    return f"{words}, from {config.start_from} on" if config.start_from else words
+
+
+def taught_by(agent: Kept) -> dict[str, Any] | None:
+    """Settings of the comparison by imitation, with one of whose runs the training began."""
+    start = agent.chosen.config.get("start_from")
+    folder = Path(start or "").parent.parent
+    if start is None or not (folder / "task.yaml").is_file():
+        return None
+    settings = store.task_settings(folder)
+    return settings if settings["algo"] == IMITATION else None
 
 
 def command(agent: Kept) -> str:
-    """What trains it again."""
-    cell, program, flags = agent.chosen.cell, "esc-train", ""
+    """What trains it again, stage by stage."""
+    cell, settings = agent.chosen.cell, agent.task.settings
+    own = f"--env {cell.env} --repr {cell.repr} --seed {cell.seed}"
+
+    def imitate(settings: dict[str, Any]) -> str:
+        return f"esc-imitate {own}{_flags(_given(settings), ImitateConfig)}"
+
     if cell.algo == IMITATION:
-        program = "esc-imitate"
-        flags = _flags({"expert": "planner", **agent.task.settings["imitate"]})
-    return f"{program} --env {cell.env} --repr {cell.repr} --seed {cell.seed}{flags}"
+        return imitate(settings)
+    given = settings["train"] | {name: settings[name] for name in ("steps",) if settings[name]}
+    if start := agent.chosen.config.get("start_from"):
+        given |= {"start_from": start}
+    train = f"esc-train {own}{_flags(given, TrainConfig)}"
+    if teacher := taught_by(agent):
+        return f"{imitate(teacher)} --run-dir {start} && {train}"
+    return train
 
 
-def _flags(values: dict[str, Any], prefix: str = "") -> str:
-    """What stands on the command line for the fields of a configuration."""
+def _given(settings: dict[str, Any]) -> dict[str, Any]:
+    """Of a comparison by imitation: fields of every run."""
+    return {"expert": "planner", **settings["imitate"]}
+
+
+def _flags(values: dict[str, Any], model: type[Model], prefix: str = "") -> str:
+    """What stands on the command line for fields of a configuration."""
     found = ""
     for name, value in values.items():
-        flag = f"{prefix}{name.replace('_', '-')}"
-        inside = isinstance(value, dict)
-        found += _flags(value, f"{flag}.") if inside else f" --{flag} {value}"
+        flag, kind = f"{prefix}{name.replace('_', '-')}", model.model_fields[name].annotation
+        if isinstance(kind, type) and issubclass(kind, Model):
+            found += _flags(value, kind, f"{flag}.")
+        elif isinstance(value, bool):
+            found += f" --{flag}" if value else f" --{prefix}no-{flag.removeprefix(prefix)}"
+        else:
+            words = value if isinstance(value, list | tuple) else [flow(value)]
+            found += f" --{flag} {shlex.join(map(str, words))}"
     return found
 
 

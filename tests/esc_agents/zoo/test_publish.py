@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from esc_agents import pretrained, zoo
-from esc_agents.cli import keep as keep_cli
+from esc_agents.cli import keep as keep_cli, train as train_cli
 from esc_agents.compare import store
 from esc_agents.compare.analysis import load
 from esc_agents.compare.comparison import compare
 from esc_agents.driving.policies import load_policy
+from esc_agents.training import train as training
 from esc_agents.zoo.keeping import best_of
-from esc_agents.zoo.report import above, command, learned
+from esc_agents.zoo.report import above, command, learned, steps
 from tests.esc_agents.compare.small import ENV, HereEngine, small
 
 
@@ -136,16 +138,61 @@ def test_what_is_to_be_kept_has_to_be_there(call):
     assert "nowhere: expected a directory of esc-compare or esc-train" in err
 
 
-def test_how_an_agent_learned(compared):
+def test_the_command_trains_the_agent_again(compared, monkeypatch):
+    agent = best_of(compared)[0]
+    assert learned(agent) == "trained with PPO for 32 steps"
+    asked = []
+    monkeypatch.setattr(training, "train", lambda config, **_: asked.append(config) or True)
+    program, *words = shlex.split(command(agent))
+    assert (program, train_cli.command(words)) == ("esc-train", 0)
+    again, before = asked[0].model_dump(mode="json"), agent.chosen.config
+    for name in before.keys() - {"evaluation", "run_dir", "device", "threads", "checkpoint_every"}:
+        assert again[name] == before[name], name
+
+
+def changed(agent, settings, **config):
+    """The agent, had it been made with these settings of its comparison."""
+    task = replace(agent.task, settings=agent.task.settings | settings)
+    chosen = replace(agent.chosen, config=agent.chosen.config | config)
+    return replace(agent, task=task, chosen=chosen)
+
+
+def test_how_an_agent_learned(compared, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    agent = changed(best_of(compared)[0], {"train": {}, "steps": None})
+    seed = agent.chosen.cell.seed
+    own = f"--env {ENV} --repr esc --seed {seed}"
+    assert command(agent) == f"esc-train {own}"
+    first = f"runs/taught/{ENV}-imitation/runs/esc-s{seed}"
+    second = {"ppo": {"train_env_config": {"collision_reward": -30}}}
+    taught = changed(agent, {"train": second, "steps": 16}, start_from=first)
+    # Of a run of another machine no more is known than where it was.
+    assert learned(taught) == f"trained with PPO for 32 steps, from {first} on"
+    train = (
+        f"esc-train {own} --ppo.train-env-config '{{collision_reward: -30}}' --steps 16 "
+        f"--start-from {first}"
+    )
+    assert (command(taught), steps(taught)) == (train, "32")
+    imitate = {"labels": 1000, "rounds": 3, "planner": {"free": 2}}
+    store.begin_task(
+        tmp_path / "runs/taught", small(learn="imitate", imitate=imitate, train={}), ENV
+    )
+    assert learned(taught) == (
+        "trained with PPO for 32 steps, after imitation of a planner, from 4,000 labels or more"
+    )
+    assert steps(taught) == "4,000 by imitation, then 32"
+    assert command(taught) == (
+        f"esc-imitate {own} --expert planner --labels 1000 --rounds 3 --planner.free 2 "
+        f"--run-dir {first} && {train}"
+    )
+
+
+def test_how_an_agent_imitates(compared):
     agent = best_of(compared)[0]
     seed = agent.chosen.cell.seed
-    assert learned(agent) == "trained with PPO for 32 steps"
-    assert command(agent) == f"esc-train --env {ENV} --repr esc --seed {seed}"
     cell = replace(agent.chosen.cell, algo="imitation")
-    settings = {**agent.task.settings, "imitate": {"batch_size": 64, "planner": {"free": 2}}}
-    imitated = replace(
-        agent, chosen=replace(agent.chosen, cell=cell), task=replace(agent.task, settings=settings)
-    )
+    imitated = changed(agent, {"imitate": {"batch_size": 64, "planner": {"free": 2}}})
+    imitated = replace(imitated, chosen=replace(imitated.chosen, cell=cell))
     assert learned(imitated) == "learned by imitation of a planner, from 32 labels or more"
     assert command(imitated) == (
         f"esc-imitate --env {ENV} --repr esc --seed {seed} --expert planner --batch-size 64 "
