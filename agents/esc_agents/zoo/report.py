@@ -35,14 +35,14 @@ ROW = "row.json"  # an agent's line of the page, and what made it
 TEXT = """# The zoo
 
 Agents that come with the package. Each row: the final policies of so many runs of the scenario's
-recipe, or of imitation of a planner, with as many episodes each from seed {first:,} on, which no
-training saw; brackets hold 95 % intervals over all of these episodes. The agent that is kept is the
-run which was best at its own evaluations in training. "Above both": the interval of the return lies
-above those of every policy that never looks, and of IDM/MOBIL, on the same episodes. The planner
-knows all, what the others want too, and tries every first action in copies of the scene: a
-reference, and no driver for a road; `esc-eval --expert planner` tries every second one, too, and
-in the dense scenarios drives better. Steps: of training, or labels "by imitation". Minutes: of one
-run, measured.
+recipe, or of imitation of a planner, or of that and then PPO, with as many episodes each from seed
+{first:,} on, which no training saw; brackets hold 95 % intervals over all of these episodes. The
+agent that is kept is the run which was best at its own evaluations in training. "Above both": the
+interval of the return lies above those of every policy that never looks, and of IDM/MOBIL, on the
+same episodes. The planner knows all, what the others want too, and tries every first action in
+copies of the scene: a reference, and no driver for a road; `esc-eval --expert planner` tries every
+second one, too, and in the dense scenarios drives better. Steps: of training, or labels "by
+imitation", or both. Minutes: of one run, without the imitation before it, measured.
 
     esc-eval --pretrained NAME
     esc-train --env SCENARIO --start-from zoo:NAME    # NAME-attention: --repr attention
