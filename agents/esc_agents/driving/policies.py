@@ -145,8 +145,14 @@ def start_from(
     trust: as of ``load_policy``. Raises UserError where that run saw, did, or is built otherwise;
     then nothing has changed.
     """
+    who = f"start_from {source}"
+    if not pretrained.run_of(source).is_dir():
+        raise UserError(
+            f"{who}: expected a run directory, got none; train that run first, or give another, or "
+            "None to begin with new weights"
+        )
     folder, description, weights = _run(source, trust)
-    who, does = f"start_from {source}", description.action.build()
+    does = description.action.build()
     if what := other_meaning(observation, description.observation):
         raise UserError(f"{who}: expected a run with the same observation, got {what}")
     if description.algo != algo or does != policy.action_space:

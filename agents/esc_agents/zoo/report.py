@@ -217,10 +217,9 @@ def learned(agent: Kept) -> str:
 def taught_by(agent: Kept) -> dict[str, Any] | None:
     """Settings of the comparison by imitation, with one of whose runs the training began."""
     start = agent.chosen.config.get("start_from")
-    folder = Path(start or "").parent.parent
-    if start is None or not (folder / "task.yaml").is_file():
+    if not start or not (Path(start).parent.parent / "task.yaml").is_file():
         return None
-    settings = store.task_settings(folder)
+    settings = store.task_settings(Path(start).parent.parent)
     return settings if settings["algo"] == IMITATION else None
 
 
@@ -234,9 +233,11 @@ def command(agent: Kept) -> str:
 
     if cell.algo == IMITATION:
         return imitate(settings)
-    given = settings["train"] | {name: settings[name] for name in ("steps",) if settings[name]}
+    given = {**settings["train"]}
+    if settings["steps"]:
+        given["steps"] = settings["steps"]
     if start := agent.chosen.config.get("start_from"):
-        given |= {"start_from": start}
+        given["start_from"] = start
     train = f"esc-train {own}{_flags(given, TrainConfig)}"
     if teacher := taught_by(agent):
         return f"{imitate(teacher)} --run-dir {start} && {train}"
