@@ -145,14 +145,8 @@ def start_from(
     trust: as of ``load_policy``. Raises UserError where that run saw, did, or is built otherwise;
     then nothing has changed.
     """
-    who = f"start_from {source}"
-    if not pretrained.run_of(source).is_dir():
-        raise UserError(
-            f"{who}: expected a run directory, got none; train that run first, or give another, or "
-            "None to begin with new weights"
-        )
     folder, description, weights = _run(source, trust)
-    does = description.action.build()
+    who, does = f"start_from {source}", description.action.build()
     if what := other_meaning(observation, description.observation):
         raise UserError(f"{who}: expected a run with the same observation, got {what}")
     if description.algo != algo or does != policy.action_space:
@@ -198,7 +192,10 @@ def _run(source: str, trust: bool) -> tuple[Path, PolicyDescription, dict[str, T
     """The directory that ``source`` means, and what its run ended with, else its best."""
     folder = pretrained.run_of(source)
     if not folder.is_dir():
-        raise UserError(f"{folder} is no run directory: expected policy.json in it")
+        raise UserError(
+            f"{folder} is no run directory: expected policy.json in it; train that run first, or "
+            "give another"
+        )
     name = next(
         (name for name in ("policy", "best_policy") if (folder / f"{name}.json").exists()), None
     )

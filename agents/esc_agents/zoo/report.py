@@ -234,6 +234,8 @@ def command(agent: Kept) -> str:
     if cell.algo == IMITATION:
         return imitate(settings)
     given = {**settings["train"]}
+    if cell.algo != TrainConfig().algo:
+        given["algo"] = cell.algo
     if settings["steps"]:
         given["steps"] = settings["steps"]
     if start := agent.chosen.config.get("start_from"):

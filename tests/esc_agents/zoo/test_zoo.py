@@ -139,5 +139,5 @@ def test_esc_train_starts_from_a_run(ppo_run, own_zoo, call, tmp_path):
         assert "Beginning with the weights of" in out
     code, _, err = call(train_cli, "--config", config, "--start-from", tmp_path / "none")
     assert code == 2
-    assert "none: expected a run directory, got none; train that run first" in err
+    assert "none is no run directory: expected policy.json in it; train that run first" in err
     assert not (tmp_path / "runs").exists()
