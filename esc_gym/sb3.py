@@ -184,7 +184,7 @@ class SetVecEnv(VecEnv):
         """(observations, rewards, dones, infos), as SB3 has them."""
         observations, rewards, terminated, truncated = self.envs.advance(self._actions)
         measured = self.envs.measure(self.collisions)
-        rewards, terminated = self._judged(rewards, terminated, measured)
+        rewards, terminated, truncated = self._judged(rewards, terminated, truncated, measured)
         self.episodes.add(rewards, self.envs.counts, measured)
         dones, listed = terminated | truncated, self._listed(measured)
         if dones.any():
@@ -201,10 +201,10 @@ class SetVecEnv(VecEnv):
         return _copied(observations), rewards.astype(np.float32), dones, listed
 
     def _judged(
-        self, rewards: np.ndarray, terminated: np.ndarray, measured: Measured
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, rewards: np.ndarray, terminated: np.ndarray, truncated: np.ndarray, measured: Measured
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """For subclasses: other rewards and ends."""
-        return rewards, terminated
+        return rewards, terminated, truncated
 
     def _listed(self, measured: Measured) -> list[dict[str, Any]]:
         """What each environment says of a step in mid-episode."""

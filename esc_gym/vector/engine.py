@@ -135,6 +135,15 @@ class Engine:
         other.now.copy_from(self.now, slice(None), indices)
         return other
 
+    def go_back(self, chosen: np.ndarray, kept: Sequence[np.ndarray]) -> None:
+        """Put rows of ``arrays`` in the place of some environments, all but the generators."""
+        own = self.state.generators[chosen]
+        for mine, theirs in zip(self.arrays(), kept, strict=True):
+            mine[chosen] = theirs
+        self.state.generators[chosen] = own
+        there = np.isin(np.arange(len(self.ends)), chosen)
+        self._share_out(self._look, there, False, self.watching, alone=len(chosen) < FEW)
+
     def generators(self) -> tuple[np.random.Generator, ...]:
         """Copies of highway-env's generators."""
         return tuple(generator(numbers) for numbers in self.state.generators[:, ROAD])

@@ -75,6 +75,35 @@ class StateInHand(VectorEnv):
         other.num_envs, other.engine = len(chosen), self._begun().fork(chosen)
         return other
 
+    def keep(self, indices: Sequence[int]) -> tuple[np.ndarray, ...]:
+        """The states of some environments, for ``go_back``: arrays with a row for each.
+
+        indices: as for ``fork``. Raises ValueError where the engine does not simulate this.
+        """
+        chosen = indices_of(indices, self.num_envs)
+        return tuple(array.take(chosen, axis=0) for array in self._begun().arrays())
+
+    def go_back(self, indices: Sequence[int], kept: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+        """Let some environments go on from states that ``keep`` gave; observations of all.
+
+        indices: as for ``fork``, but each once; kept: a row for each, of whichever environments of
+        this batch, or of another one of the same id and configuration. What is drawn from now on
+        each draws from the generator that it has, so that the same state can go on in many ways.
+        Raises ValueError, and changes nothing, for states of another shape.
+        """
+        chosen = indices_of(indices, self.num_envs)
+        if len(set(chosen.tolist())) < len(chosen):
+            raise ValueError(f"indices: expected each environment once, got {list(indices)}")
+        engine = self._begun()
+        wanted = [((len(chosen), *array.shape[1:]), array.dtype) for array in engine.arrays()]
+        if [(array.shape, array.dtype) for array in kept] != wanted:
+            raise ValueError(
+                f"kept: expected the states of {len(chosen)} environments of the same id and "
+                "configuration, as keep() gives them"
+            )
+        engine.go_back(chosen, kept)
+        return self._observation(engine.now)
+
     def _check_open(self) -> None:
         if self.closed:
             raise gym.error.ClosedEnvironmentError("this batch was closed; make another")
@@ -83,8 +112,8 @@ class StateInHand(VectorEnv):
         self._check_open()
         if self.engine is None:
             raise ValueError(
-                "snapshot, restore, fork and rest need the batch engine, which does not simulate "
-                f"this: {self._reason}"
+                "snapshot, restore, fork, keep, go_back and rest need the batch engine, which does "
+                f"not simulate this: {self._reason}"
             )
         return self.engine
 

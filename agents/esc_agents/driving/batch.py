@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from esc_agents.config import TrainConfig
+from esc_agents.driving.crash_replay import CrashReplay
 from esc_agents.driving.environments import env_config, named_version, observation_arguments
 from esc_agents.driving.wrappers import REFERENCE_SPEED, not_finite
 from esc_gym.sb3 import SetVecEnv
@@ -42,6 +43,8 @@ class BatchVecEnv(SetVecEnv):
         self.progress_reward = task.progress_reward if task else 0.0
         self.offroad_terminal = bool(task and task.offroad_terminal)
         self.evaluation = evaluation
+        share = config.ppo.crash_replay if config.algo == "ppo" and not evaluation else 0.0
+        self.replay = CrashReplay(self.envs, share, config.seed) if share else None
         self._queues: list[list[int]] = [[] for _ in range(count)]
         self.resting = np.zeros(count, bool)
         # The present observations, and the first ones of each episode, which one shows that rests.
@@ -68,15 +71,18 @@ class BatchVecEnv(SetVecEnv):
 
     def state(self) -> bytes:
         """Everything that the future depends on."""
-        return pickle.dumps((self.envs.snapshot(), vars(self.episodes), self._numbers))
+        replay = [self.replay.state()] if self.replay else []
+        return pickle.dumps((self.envs.snapshot(), vars(self.episodes), self._numbers, *replay))
 
     def restore(self, state: bytes) -> None:
         """Go on where ``state`` was taken. Raises ValueError for one of other environments."""
-        snapshot, episodes, self._numbers = pickle.loads(state)
+        snapshot, episodes, self._numbers, *replay = pickle.loads(state)
         if episodes.keys() != vars(self.episodes).keys():
             raise ValueError("statistics of episodes of another version of esc_gym")
         self._seen, _ = self.envs.restore(snapshot)
         vars(self.episodes).update(episodes)
+        if self.replay:
+            self.replay.restore(*replay)
 
     def reset(self) -> dict[str, np.ndarray]:  # type: ignore[override]
         """A fault of it is told with the next step."""
@@ -92,7 +98,14 @@ class BatchVecEnv(SetVecEnv):
         if self._fault is None:
             self._steps = self.episodes.lengths + 1
             try:
-                return super().step_wait()
+                if not self.replay:
+                    return super().step_wait()
+                self.replay.before_step()
+                replayed = self.replay.replaying
+                observations, rewards, dones, infos = super().step_wait()
+                for e in np.flatnonzero(dones & replayed).tolist():
+                    del infos[e]["episode"]  # statistics are of whole episodes
+                return observations, rewards, dones, infos
             except Exception as error:
                 self._note(error)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -112,6 +125,9 @@ class BatchVecEnv(SetVecEnv):
             self._numbers[chosen] += 1
             self._steps[chosen] = 0
             self._seen = super()._begin(chosen, seeds)
+            if self.replay and (replayed := self.replay.begin(chosen)).any():
+                self._seen = self.envs._observation(self.envs.engine.now)
+                self.episodes.note_lanes(replayed, self.envs.measure(self.collisions))
             self._check(np.zeros(self.num_envs))
         if self.evaluation:
             for name, part in self._seen.items():
@@ -122,15 +138,18 @@ class BatchVecEnv(SetVecEnv):
         return self._seen
 
     def _judged(
-        self, rewards: np.ndarray, terminated: np.ndarray, measured: Measured
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, rewards: np.ndarray, terminated: np.ndarray, truncated: np.ndarray, measured: Measured
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         driving = ~self.resting
         if self.progress_reward:
             rewards[driving] += (self.progress_reward * measured.along / REFERENCE_SPEED)[driving]
         if self.offroad_terminal:
             terminated |= driving & ~measured.on_road
+        if self.replay:
+            over = self.replay.after_step(terminated & measured.crashed, self.episodes.lengths + 1)
+            truncated = truncated | over
         self._check(rewards)
-        return rewards, terminated
+        return rewards, terminated, truncated
 
     def _listed(self, measured: Measured) -> list[dict[str, Any]]:
         if not self.evaluation:

@@ -37,6 +37,12 @@ def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
                 f"vec: batch: the batch engine does not simulate this {config.env}: {reason}; "
                 "auto takes what is fastest here, with the same results"
             )
+    if config.algo == "ppo" and config.ppo.crash_replay and not options.get("evaluation"):
+        raise UserError(
+            f"ppo.crash_replay: expected 0, got {config.ppo.crash_replay:g}; only the batch engine "
+            f"goes back to what was, and it does not simulate this {config.env}: "
+            f"{unknown_to_engine(config) or f'vec is {config.vec}'}"
+        )
     made = factories(config, count, **options)
     if config.vec != "subproc" and not (config.vec == "auto" and _worth_processes(config, count)):
         return DummyVecEnv(made)

@@ -22,7 +22,7 @@ from esc_gym.matching import parameter_count
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 OURS = {
     "train_env_config", "net_arch", "ortho_init", "learning_rate_schedule", "ent_coef_schedule",
-    "hindsight", "value_warmup",
+    "hindsight", "value_warmup", "crash_replay",
 }  # fmt: skip
 """Hyperparameters that are no arguments of SB3's algorithms by these names."""
 

@@ -8,6 +8,7 @@ import signal
 import numpy as np
 import pytest
 
+from esc_agents.driving.crash_replay import CrashReplay
 from esc_agents.driving.environments import make_env
 from esc_agents.driving.policies import load_policy
 from esc_agents.errors import UserError
@@ -117,6 +118,29 @@ def test_exploring_with_a_noise_that_lasts(algo, tmp_path, monkeypatch):
         load_policy(tmp_path / "run")[0].predict(observation, deterministic=True)[0],
         model.predict(observation, deterministic=True)[0],
     )
+
+
+def test_with_collisions_that_are_replayed(tmp_path, monkeypatch):
+    road = {"vehicles_count": 20, "lanes_count": 1, "policy_frequency": 5}
+    settings = tiny().ppo.model_dump() | {"crash_replay": 0.5}
+    run = tiny(vec="batch", steps=640, checkpoint_every=100, env_config=road, ppo=settings)
+    begun, begin = [], CrashReplay.begin
+
+    def noted(self, chosen):
+        begun.append(begin(self, chosen))
+        return begun[-1]
+
+    monkeypatch.setattr(CrashReplay, "begin", noted)
+    assert train(run.model_copy(update={"run_dir": tmp_path / "whole"}))
+    before = np.sum(begun)
+    kill(monkeypatch, callbacks.DrivingLog, "_on_step", 250)
+    with pytest.raises(Killed):
+        train(run.model_copy(update={"run_dir": tmp_path / "run"}))
+    monkeypatch.setattr(CrashReplay, "begin", noted)
+    begun.clear()
+    assert train(run_directory.open_run(tmp_path / "run"), resume=tmp_path / "run")
+    assert before > np.sum(begun) > 0
+    assert_same(tmp_path / "whole", tmp_path / "run")
 
 
 def test_a_checkpoint_of_the_other_kind(own_run):

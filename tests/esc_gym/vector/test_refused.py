@@ -24,6 +24,7 @@ BEFORE: dict[str, Callable[[Any], object]] = {
     "step": lambda envs: envs.step(np.ones(2, int)),
     "snapshot": lambda envs: envs.snapshot(),
     "fork": lambda envs: envs.fork([0]),
+    "keep": lambda envs: envs.keep([0]),
     "materialise": lambda envs: envs.materialise(0),
     "measure": lambda envs: envs.measure(),
     "rest": lambda envs: envs.rest(HERE),
@@ -110,6 +111,7 @@ def test_after_close(accelerate):
     calls = (
         lambda: envs.step(np.ones(2, int)), envs.reset, envs.snapshot, lambda: envs.restore(data),
         lambda: envs.fork([0]), lambda: envs.materialise(0), lambda: envs.rest(HERE), envs.measure,
+        lambda: envs.keep([0]), lambda: envs.go_back([0], ()),
     )  # fmt: skip
     for call in calls:
         with pytest.raises(gym.error.ClosedEnvironmentError, match="was closed"):
