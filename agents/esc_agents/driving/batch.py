@@ -43,8 +43,10 @@ class BatchVecEnv(SetVecEnv):
         self.progress_reward = task.progress_reward if task else 0.0
         self.offroad_terminal = bool(task and task.offroad_terminal)
         self.evaluation = evaluation
-        share = config.ppo.crash_replay if config.algo == "ppo" and not evaluation else 0.0
-        self.replay = CrashReplay(self.envs, share, config.seed) if share else None
+        self.replay: CrashReplay | None = None
+        if config.algo == "ppo" and config.ppo.crash_replay and not evaluation:
+            half = config.steps // count // 2
+            self.replay = CrashReplay(self.envs, config.ppo.crash_replay, half, config.seed)
         self._queues: list[list[int]] = [[] for _ in range(count)]
         self.resting = np.zeros(count, bool)
         # The present observations, and the first ones of each episode, which one shows that rests.

@@ -26,11 +26,13 @@ class CrashReplay:
     al. 2021, "First return, then explore"). Rewards and traffic are the scenario's. Collisions of
     replays are not replayed: what nobody can survive would soon be all there is.
 
-    envs: the batch. share: of the episodes, 0 to 1. seed: of the choices.
+    envs: the batch. share: of the episodes, 0 to 1. waits: steps of the batch before the first
+    replay, while a beginner still collides everywhere. seed: of the choices.
     """
 
-    def __init__(self, envs: SetVectorEnv, share: float, seed: int) -> None:
-        self.envs, self.share = envs, share
+    def __init__(self, envs: SetVectorEnv, share: float, waits: int, seed: int) -> None:
+        self.envs, self.share, self.waits = envs, share, waits
+        self._steps = 0
         self._generator = np.random.default_rng([seed, 0xC4A5])
         self._past: deque[tuple[np.ndarray, ...]] = deque(maxlen=COPIES)
         self._since = 0  # steps since the last of them
@@ -45,13 +47,14 @@ class CrashReplay:
 
     def state(self) -> bytes:
         """What a checkpoint has to hold; padding makes most of it, so it is compressed."""
-        future = {name: part for name, part in vars(self).items() if name not in ("envs", "share")}
+        future = {name: part for name, part in vars(self).items() if name[0] == "_"}
         return zlib.compress(pickle.dumps(future), 1)
 
     def restore(self, state: bytes) -> None:
         vars(self).update(pickle.loads(zlib.decompress(state)))
 
     def before_step(self) -> None:
+        self._steps += 1
         self._since += 1
         if self._since >= EVERY or not self._past:
             self._past.append(self.envs.keep(range(self.envs.num_envs)))
@@ -76,7 +79,11 @@ class CrashReplay:
         """Which of the episodes that have just begun, of ``chosen``, are replays [num_envs]."""
         self._left[chosen] = -1
         for e in np.flatnonzero(chosen).tolist():
-            if self._crashes and self._generator.random() < self.share:
+            if (
+                self._crashes
+                and self._steps >= self.waits
+                and self._generator.random() < self.share
+            ):
                 before, kept = self._crashes[self._generator.integers(len(self._crashes))]
                 self.envs.go_back([e], kept)
                 self._left[e] = before + BEYOND

@@ -24,7 +24,7 @@ def config(share=0.5, **changes):
 
 
 def replaying(share=0.5, **changes):
-    run = config(share, **changes)
+    run = config(share, **{"steps": 1, **changes})
     envs = BatchVecEnv(run, run.n_envs)
     envs.seed(3)
     return envs, envs.reset()
@@ -119,6 +119,13 @@ def test_a_share_of_all_episodes():
     assert np.mean([again for again, *_ in found]) == pytest.approx(0.3, abs=0.06)
 
 
+def test_it_waits_for_the_second_half():
+    envs, observation = replaying(steps=600)
+    first, second = (episodes(envs, observation, 100) for _ in range(2))
+    assert not any(again for again, *_ in first[:-3])
+    assert any(again for again, *_ in second)
+
+
 def test_without_collisions_there_are_none():
     envs, observation = replaying(env_config={"vehicles_count": 0, "duration": 5})
     assert not any(again for again, *_ in episodes(envs, observation, 30, IDLE))
@@ -132,7 +139,7 @@ def test_evaluations_and_other_runs_have_none():
 def test_a_state_goes_to_another_batch():
     one, observation = replaying()
     episodes(one, observation, 50)
-    two = BatchVecEnv(config(), 3)
+    two = BatchVecEnv(config(steps=1), 3)
     two.restore(one.state())
     mine, others = (episodes(envs, envs.envs._observation(envs.envs.engine.now), 100)
                     for envs in (one, two))  # fmt: skip
