@@ -39,9 +39,9 @@ def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
             )
     if config.algo == "ppo" and config.ppo.crash_replay and not options.get("evaluation"):
         raise UserError(
-            f"ppo.crash_replay: expected 0, got {config.ppo.crash_replay:g}; only the batch engine "
-            f"goes back to what was, and it does not simulate this {config.env}: "
-            f"{unknown_to_engine(config) or f'vec is {config.vec}'}"
+            "ppo.crash_replay: only the batch engine can go back, and it does not simulate "
+            f"this {config.env}: {unknown_to_engine(config) or f'vec is {config.vec}'}; "
+            f"expected 0, got {config.ppo.crash_replay:g}: train without, --ppo.crash-replay 0"
         )
     made = factories(config, count, **options)
     if config.vec != "subproc" and not (config.vec == "auto" and _worth_processes(config, count)):

@@ -49,7 +49,8 @@ def measure(config: TrainConfig, seconds: float, say: Callable[[str], None]) -> 
     envs = SubprocVecEnv([stock_env] * count)
     models: list[Any] = [PPO("MlpPolicy", envs, **given, **ppo)]
     for vec in ("dummy", "auto"):
-        own = config.model_copy(update={"vec": vec})
+        alike = config.ppo.model_copy(update={"crash_replay": 0.0})  # which one by one cannot
+        own = config.model_copy(update={"vec": vec, "ppo": alike})
         models.append(new_model(own, vectorise(own, own.n_envs)))
     try:
         rounds = [[learn(model, seconds) for model in models] for _ in range(ROUNDS)]

@@ -158,7 +158,7 @@ def test_a_state_goes_to_another_batch():
 )
 def test_it_needs_the_batch_engine(changes, reason, tmp_path):
     run = config(**changes)
-    with pytest.raises(UserError, match=f"ppo.crash_replay: expected 0, got 0.5; only.*{reason}"):
+    with pytest.raises(UserError, match=f"ppo.crash_replay: only.*{reason}; expected 0, got 0.5"):
         train(run.model_copy(update={"run_dir": tmp_path / "run"}))
     assert not (tmp_path / "run").exists()
     vectorise(run, 2, evaluation=True)
