@@ -78,12 +78,9 @@ class CrashReplay:
     def begin(self, chosen: np.ndarray) -> np.ndarray:
         """Which of the episodes that have just begun, of ``chosen``, are replays [num_envs]."""
         self._left[chosen] = -1
+        ready = self._crashes and self._steps >= self.waits
         for e in np.flatnonzero(chosen).tolist():
-            if (
-                self._crashes
-                and self._steps >= self.waits
-                and self._generator.random() < self.share
-            ):
+            if ready and self._generator.random() < self.share:
                 before, kept = self._crashes[self._generator.integers(len(self._crashes))]
                 self.envs.go_back([e], kept)
                 self._left[e] = before + BEYOND
