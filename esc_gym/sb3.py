@@ -160,12 +160,16 @@ class SetVecEnv(VecEnv):
         """Begin new episodes where ``chosen`` says so; the observations of all environments."""
         observations = self.envs.begin(seeds, chosen)
         self.episodes.begin(chosen, seeds)
+        self._note_beginning(chosen)
+        return observations
+
+    def _note_beginning(self, chosen: np.ndarray) -> None:
+        """Where episodes that have just begun begin, and what their environments say of it."""
         begun = np.flatnonzero(chosen)
         told = self.envs.told(begun)
         for i, e in enumerate(begun.tolist()):
             self._begun[e] = told, i
         self.episodes.note_lanes(chosen, self.envs.measure(self.collisions))
-        return observations
 
     @property
     def reset_infos(self) -> list[dict[str, Any]]:  # type: ignore[override]

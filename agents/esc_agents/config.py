@@ -160,9 +160,9 @@ class PPOConfig(AlgorithmConfig):
     """Training steps in which the value network alone learns, at the beginning of a run with
     `start_from`: before it can judge, its errors would spoil what the policy knows."""
     crash_replay: Probability = 0.0
-    """Share of the episodes that begin some steps before a collision of an earlier one and end some
-    steps after its moment, in the second half of the training: a good driver meets such states too
-    rarely to learn from them. Needs the batch engine."""
+    """In the second half of the training, the share of the episodes that begin some steps before a
+    collision of an earlier one and end some steps after its moment: a good driver meets such states
+    too rarely to learn from them. 0: none. Others need the batch engine."""
     ortho_init: bool = True
     """SB3's orthogonal initialisation, of the encoder too; false: PyTorch's own."""
     net_arch: tuple[Width, ...] = (64, 64)

@@ -137,10 +137,11 @@ class Engine:
 
     def go_back(self, chosen: np.ndarray, kept: Sequence[np.ndarray]) -> None:
         """Put rows of ``arrays`` in the place of some environments, all but the generators."""
-        own = self.state.generators[chosen]
+        state = self.state
+        own = state.generators[chosen], state.heads["seed"][chosen]
         for mine, theirs in zip(self.arrays(), kept, strict=True):
             mine[chosen] = theirs
-        self.state.generators[chosen] = own
+        state.generators[chosen], state.heads["seed"][chosen] = own
         there = np.isin(np.arange(len(self.ends)), chosen)
         self._share_out(self._look, there, False, self.watching, alone=len(chosen) < FEW)
 

@@ -87,19 +87,20 @@ class StateInHand(VectorEnv):
         """Let some environments go on from states that ``keep`` gave; observations of all.
 
         indices: as for ``fork``, but each once; kept: a row for each, of whichever environments of
-        this batch, or of another one of the same id and configuration. What is drawn from now on
-        each draws from the generator that it has, so that the same state can go on in many ways.
-        Raises ValueError, and changes nothing, for states of another shape.
+        this batch, or of another one of the same id and configuration. Each keeps its own random
+        generator, so that the same state can go on in many ways. Raises ValueError, and changes
+        nothing, for states of another shape, of which no more is checked.
         """
         chosen = indices_of(indices, self.num_envs)
         if len(set(chosen.tolist())) < len(chosen):
-            raise ValueError(f"indices: expected each environment once, got {list(indices)}")
+            raise ValueError(f"indices: expected each environment once, got {chosen.tolist()}")
         engine = self._begun()
         wanted = [((len(chosen), *array.shape[1:]), array.dtype) for array in engine.arrays()]
-        if [(array.shape, array.dtype) for array in kept] != wanted:
+        arrays = isinstance(kept, tuple | list) and all(isinstance(a, np.ndarray) for a in kept)
+        if not arrays or [(array.shape, array.dtype) for array in kept] != wanted:
             raise ValueError(
-                f"kept: expected the states of {len(chosen)} environments of the same id and "
-                "configuration, as keep() gives them"
+                f"kept: expected what keep() gives of {len(chosen)} environments like these, of the"
+                " same id and configuration"
             )
         engine.go_back(chosen, kept)
         return self._observation(engine.now)

@@ -79,11 +79,13 @@ class BatchVecEnv(SetVecEnv):
     def restore(self, state: bytes) -> None:
         """Go on where ``state`` was taken. Raises ValueError for one of other environments."""
         snapshot, episodes, self._numbers, *replay = pickle.loads(state)
+        if bool(replay) != bool(self.replay):
+            raise ValueError("expected a state with the same ppo.crash_replay, none or some")
         if episodes.keys() != vars(self.episodes).keys():
             raise ValueError("statistics of episodes of another version of esc_gym")
         self._seen, _ = self.envs.restore(snapshot)
         vars(self.episodes).update(episodes)
-        if self.replay:
+        if self.replay and replay:
             self.replay.restore(*replay)
 
     def reset(self) -> dict[str, np.ndarray]:  # type: ignore[override]
@@ -106,7 +108,8 @@ class BatchVecEnv(SetVecEnv):
                 replayed = self.replay.replaying
                 observations, rewards, dones, infos = super().step_wait()
                 for e in np.flatnonzero(dones & replayed).tolist():
-                    del infos[e]["episode"]  # statistics are of whole episodes
+                    for name in ("episode", "is_success"):  # SB3's statistics are of whole ones
+                        infos[e].pop(name, None)
                 return observations, rewards, dones, infos
             except Exception as error:
                 self._note(error)
@@ -129,7 +132,7 @@ class BatchVecEnv(SetVecEnv):
             self._seen = super()._begin(chosen, seeds)
             if self.replay and (replayed := self.replay.begin(chosen)).any():
                 self._seen = self.envs._observation(self.envs.engine.now)
-                self.episodes.note_lanes(replayed, self.envs.measure(self.collisions))
+                self._note_beginning(replayed)
             self._check(np.zeros(self.num_envs))
         if self.evaluation:
             for name, part in self._seen.items():

@@ -21,10 +21,10 @@ class CrashReplay:
     """Lets a share of the episodes of a batch begin some steps before an earlier collision.
 
     Whether a good driver crashes is decided in a few near states, which it meets too rarely to
-    learn from. Here it meets them again, in other words from a better restart distribution
-    (Salimans & Chen 2018, "Learning Montezuma's Revenge from a Single Demonstration"; Ecoffet et
-    al. 2021, "First return, then explore"). Rewards and traffic are the scenario's. Collisions of
-    replays are not replayed: what nobody can survive would soon be all there is.
+    learn from. Here episodes start from them, too (Salimans & Chen 2018, "Learning Montezuma's
+    Revenge from a Single Demonstration"; Ecoffet et al. 2021, "First return, then explore").
+    Rewards and traffic are the scenario's. Collisions of replays are not replayed: what nobody can
+    survive would soon be all there is.
 
     envs: the batch. share: of the episodes, 0 to 1. waits: steps of the batch before the first
     replay, while a beginner still collides everywhere. seed: of the choices.

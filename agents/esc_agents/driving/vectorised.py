@@ -38,10 +38,10 @@ def vectorise(config: TrainConfig, count: int, **options: Any) -> VecEnv:
                 "auto takes what is fastest here, with the same results"
             )
     if config.algo == "ppo" and config.ppo.crash_replay and not options.get("evaluation"):
+        reason = unknown_to_engine(config) or f"vec is {config.vec}, where auto would take it"
         raise UserError(
-            "ppo.crash_replay: only the batch engine can go back, and it does not simulate "
-            f"this {config.env}: {unknown_to_engine(config) or f'vec is {config.vec}'}; "
-            f"expected 0, got {config.ppo.crash_replay:g}: train without, --ppo.crash-replay 0"
+            "ppo.crash_replay: expected 0 without the batch engine, got "
+            f"{config.ppo.crash_replay:g}: {reason}; give --ppo.crash-replay 0 to train without"
         )
     made = factories(config, count, **options)
     if config.vec != "subproc" and not (config.vec == "auto" and _worth_processes(config, count)):

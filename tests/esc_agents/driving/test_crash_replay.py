@@ -152,13 +152,39 @@ def test_a_state_goes_to_another_batch():
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"vec": "dummy"}, "this highway-fast-v0: vec is dummy"),
+        ({"vec": "dummy"}, "vec is dummy, where auto would take it"),
         ({"vec": "auto", "observation": {"accelerate": False}}, "observation.accelerate is false"),
     ],
 )
 def test_it_needs_the_batch_engine(changes, reason, tmp_path):
     run = config(**changes)
-    with pytest.raises(UserError, match=f"ppo.crash_replay: only.*{reason}; expected 0, got 0.5"):
+    with pytest.raises(UserError, match=f"expected 0 without the batch engine, got 0.5: {reason}"):
         train(run.model_copy(update={"run_dir": tmp_path / "run"}))
     assert not (tmp_path / "run").exists()
     vectorise(run, 2, evaluation=True)
+
+
+def test_a_state_of_a_run_without():
+    for mine, other in ((config(), config(share=0.0)), (config(share=0.0), config())):
+        envs, others = BatchVecEnv(mine, 3), BatchVecEnv(other, 3)
+        for each in (envs, others):
+            each.reset()
+        with pytest.raises(ValueError, match=r"the same ppo\.crash_replay"):
+            envs.restore(others.state())
+
+
+def test_what_is_told_of_a_beginning_and_of_success():
+    run = tiny("exit-v0", vec="batch", n_envs=8, steps=1, ppo={**PPO, "crash_replay": 1.0})
+    envs = BatchVecEnv(run, 8)
+    envs.seed(3)
+    envs.reset()
+    rng, told = np.random.default_rng(0), set()
+    for _ in range(150):
+        replayed = envs.replay.replaying
+        *_, dones, infos = envs.step(rng.integers(0, 5, 8))
+        told |= {
+            (bool(again), "is_success" in infos[e]) for e, again in enumerate(replayed) if dones[e]
+        }
+        for e in np.flatnonzero(dones & envs.replay.replaying):
+            assert envs.reset_infos[e]["set"]["count"] == envs.envs.counts[e]
+    assert told == {(False, True), (True, False)}

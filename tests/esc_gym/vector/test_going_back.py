@@ -62,6 +62,7 @@ def test_the_others_do_not_notice_and_generators_go_on():
             each.step(drawn(each, i))
     numbers = [generator.bit_generator.state for generator in envs.np_random]
     envs.go_back([-1], kept)
+    assert envs.np_random_seed == undisturbed.np_random_seed == (4, 5, 6)
     assert [generator.bit_generator.state for generator in envs.np_random] == numbers
     for i in range(6):
         mine, wanted = envs.step(drawn(envs, i)), undisturbed.step(drawn(envs, i))
@@ -79,9 +80,11 @@ def test_what_does_not_fit():
     for indices, states, message in (
         ([1, 1], kept, r"indices: expected each environment once, got \[1, 1\]"),
         ([-1, 2], kept, "expected each environment once"),
-        ([1], kept, "kept: expected the states of 1 environments"),
-        ([0, 1], other.keep([0, 1]), "kept: expected the states of 2 environments of the same id"),
-        ([0, 1], kept[:-1], "as keep\\(\\) gives them"),
+        ([1], kept, "kept: expected what keep.. gives of 1 environments"),
+        ([0, 1], other.keep([0, 1]), "of 2 environments like these, of the same id"),
+        ([0, 1], kept[:-1], "kept: expected what"),
+        ([0, 1], None, "kept: expected what"),
+        ([0], "abc", "kept: expected what"),
         ([0, 3], kept, "number of an environment"),
     ):
         with pytest.raises(ValueError, match=message):
