@@ -85,11 +85,11 @@ def test_a_decision_of_both_sides():
     row = planning.measure("highway-fast-v0", 0.01)
     assert len(row) == len(planning.COLUMNS)
     assert (row[0], row[-1]) == ("highway-fast-v0", "equal")
-    copied, alone, together, _, observed, twice = (
+    copied, alone, together, beside, observed, twice = (
         float(cell.replace(",", "").removesuffix("x")) for cell in row[1:-1]
     )
-    assert copied > alone > together > 0
-    assert min(observed, twice) > together
+    assert min(copied, alone, together, observed, twice) > 0
+    assert beside == pytest.approx(copied / together, rel=0.1)
 
 
 def test_a_planner_that_errs_is_told(monkeypatch):
