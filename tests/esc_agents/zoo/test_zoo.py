@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+
 import numpy as np
 import pytest
 import torch
 
 from esc_agents import pretrained, zoo
 from esc_agents.cli import eval as eval_cli, keep as keep_cli, train as train_cli
+from esc_agents.config import TrainConfig
 from esc_agents.driving.environments import make_env, wrapper_json
 from esc_agents.driving.policies import load_policy, start_from
 from esc_agents.driving.vectorised import vectorise
 from esc_agents.errors import UserError
+from esc_agents.training import run_directory, train as training
 from esc_agents.training.models import new_model
 from tests.esc_agents.tiny import PPO, RANGES, tiny
 
@@ -34,6 +39,23 @@ def test_every_agent_drives(name):
         if terminated or truncated:
             break
     assert agent.steps >= agent.config.steps
+
+
+@pytest.mark.parametrize("name", zoo.names())
+def test_what_a_card_says_still_trains_its_agent(name, monkeypatch):
+    """Of recipes that were changed since, too."""
+    card = (pretrained.directory(name) / "README.md").read_text()
+    (again,) = re.findall("Again: `(.*)`", card)
+    program, *words = shlex.split(again.rpartition(" && ")[2])
+    if program == "esc-imitate":
+        pytest.skip("its configuration says all but what it imitated")
+    asked: list[TrainConfig] = []
+    monkeypatch.setattr(training, "train", lambda config, **_: asked.append(config) or True)
+    assert (program, train_cli.command(words)) == ("esc-train", 0)
+    kept = run_directory.open_run(pretrained.directory(name))
+    for field in ("env", "repr", "algo", "steps", "seed", "n_envs", "env_config", "start_from",
+                  "observation", "hyperparameters"):  # fmt: skip
+        assert getattr(asked[0], field) == getattr(kept, field), field
 
 
 def test_a_run_is_kept_and_evaluated(ppo_run, own_zoo, call):
