@@ -78,14 +78,15 @@ class BatchVecEnv(SetVecEnv):
 
     def restore(self, state: bytes) -> None:
         """Go on where ``state`` was taken. Raises ValueError for one of other environments."""
-        snapshot, episodes, self._numbers, *replay = pickle.loads(state)
+        snapshot, episodes, numbers, *replay = pickle.loads(state)
         if bool(replay) != bool(self.replay):
             raise ValueError("expected a state with the same ppo.crash_replay, none or some")
         if episodes.keys() != vars(self.episodes).keys():
             raise ValueError("statistics of episodes of another version of esc_gym")
         self._seen, _ = self.envs.restore(snapshot)
         vars(self.episodes).update(episodes)
-        if self.replay and replay:
+        self._numbers = numbers
+        if self.replay:
             self.replay.restore(*replay)
 
     def reset(self) -> dict[str, np.ndarray]:  # type: ignore[override]
