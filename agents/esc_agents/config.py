@@ -161,9 +161,8 @@ class PPOConfig(AlgorithmConfig):
     `start_from`: before it can judge, its errors would spoil what the policy knows."""
     crash_replay: Probability = 0.0
     """In the second half of the training, the share of the episodes that begin some steps before a
-    collision of an earlier one and end some steps after its moment, most often where it comes out
-    either way: a good driver meets such states too rarely to learn from them. 0: none. Others need
-    the batch engine."""
+    collision of an earlier one and end some steps after its moment: a good driver meets such states
+    too rarely to learn from them. 0: none. Others need the batch engine."""
     ortho_init: bool = True
     """SB3's orthogonal initialisation, of the encoder too; false: PyTorch's own."""
     net_arch: tuple[Width, ...] = (64, 64)
