@@ -148,4 +148,6 @@ def _one_line(framed: str) -> str:
         message,
     )
     guesses = [part.split()[3] for part in more if part.startswith("Perhaps you meant: ")]
-    return f"{message}; did you mean {guesses[0]}?" if guesses else message
+    if guesses:
+        return f"{message}; did you mean {guesses[0]}?"
+    return f"{message}; see --help" if message.startswith("Unrecognized") else message

@@ -170,7 +170,7 @@ def start_from(
                 f"{who}: expected the same encoder, got {name} {there} there and {here} here"
             )
     _set_weights(policy, weights)
-    say(f"Beginning with the weights of {folder}, of {description.steps:,} steps")
+    say(f"Beginning with the weights of {folder}")
 
 
 def load_driver(

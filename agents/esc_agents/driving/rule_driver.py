@@ -42,7 +42,7 @@ class RuleDriver(gym.Wrapper):
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
         if isinstance(env.unwrapped, ParkingEnv):
-            raise UserError("the driver follows lanes, and none leads to a parking spot")
+            raise UserError("expected lanes to follow, got a parking lot")
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
         observation, info = self.env.reset(seed=seed, options=options)

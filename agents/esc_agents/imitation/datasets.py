@@ -28,6 +28,7 @@ from esc_agents.imitation.labels import Drive
 from esc_agents.training.run_directory import verify, write_checksums
 
 NAME = re.compile(r"[-_\w]+-v\d+", re.ASCII)  # of Minari's data sets, without a namespace
+DATA = "metadata.json", "main_data.hdf5"
 VALUES = "expert_values"
 ROOT = "MINARI_DATASETS_PATH"
 ABOUT = "esc_gym"  # what of the metadata is ours
@@ -83,8 +84,12 @@ def write(path: Path, drives: Sequence[Drive], env: gym.Env, about: dict[str, An
 
 def check_there(path: Path) -> None:
     """Raises UserError where a directory holds no data set."""
-    if not (path / "data" / "metadata.json").is_file():
-        raise UserError(f"data: no data set in {path}: expected data/metadata.json in it")
+    for name in DATA:
+        if not (path / "data" / name).is_file():
+            raise UserError(
+                f"data: no data set in {path}: expected data/{name} in it, as esc-collect --out "
+                "makes it"
+            )
 
 
 def read(
@@ -99,7 +104,7 @@ def read(
     package = minari()
     check_there(path)
     folder = path / "data"
-    verify(folder, "metadata.json", "main_data.hdf5")
+    verify(folder, *DATA)
     try:
         data = package.MinariDataset(folder)
         about = json.loads(data.storage.metadata[ABOUT])
@@ -137,8 +142,13 @@ def _check_scenario(path: Path, asked: dict[str, Any], found: dict[str, Any]) ->
     own, other = asked["env_config"], found["env_config"]
     keys = sorted(key for key in {**own, **other} if own.get(key) != other.get(key))
     if keys:
-        what = ", ".join(f"{key}={other.get(key)!r}" for key in keys)
-        raise UserError(f"data {path}: expected labels of the same env_config, got {what}")
+        mine, theirs = (
+            ", ".join(f"{key}={each.get(key)!r}" for key in keys) for each in (own, other)
+        )
+        raise UserError(
+            f"data {path}: expected labels of the same env_config, {mine}, got {theirs}; give what "
+            "they are of with --env-config, or collect anew"
+        )
 
 
 def _buffer(package: Any, drive: Drive) -> Any:

@@ -36,7 +36,10 @@ def expert_of(
             raise UserError("--planner.milliseconds: labels must not depend on the machine")
         planner = make_planner(look_ahead, config, trust, **defaults)
         if not isinstance(planner, MetaPlanner):
-            raise UserError(f"planner: {config.env}: expected meta-actions, whose values it says")
+            raise UserError(
+                f"planner: expected meta-actions, whose values it says, got the continuous actions "
+                f"of {config.env}, with which only esc-eval --expert planner drives"
+            )
         return lambda envs, observations, chosen: planner.values(envs.envs, chosen)
     if name != "idm" and not name.startswith(RUN):
         raise UserError(f"expert: expected planner, idm, {RUN}DIR or {RUN}zoo:NAME, got {name!r}")

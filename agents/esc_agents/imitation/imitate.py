@@ -64,7 +64,10 @@ def imitate(
     if resume is None:
         run_directory.check_free(directory)
     elif run_directory.finished(resume):
-        raise UserError(f"{resume} is finished: there is nothing to continue")
+        raise UserError(
+            f"{resume} is finished: there is nothing to continue; PPO goes on from it with "
+            f"esc-train --start-from {resume}"
+        )
     probe: Any = check(run)
     expert, given = _labellers(config, run, probe, trust)
     with run_directory.said(directory, "esc-imitate"), ExitStack() as stack:
@@ -106,7 +109,10 @@ def imitate(
 def open_imitation(directory: Path, trust: bool = False) -> ImitateConfig:
     """What a run of esc-imitate is. Raises UserError where ``directory`` holds none."""
     if not (directory / IMITATE).is_file():
-        raise UserError(f"{directory} is no run of esc-imitate: expected {IMITATE} in it")
+        raise UserError(
+            f"{directory} is no run of esc-imitate: expected {IMITATE} in it; esc-train --resume "
+            "continues those of esc-train"
+        )
     return load(directory / IMITATE, "imitate", ImitateConfig, trust)
 
 

@@ -57,7 +57,7 @@ def evaluate_run(
     config = run_directory.open_run(run_dir, trust).model_copy(update={"device": device})
     model, steps = load_model(config, run_dir, trust)
     _check_outputs(video, json_file)
-    title = f"{scenario_name(config)}, {config.algo}, {steps:,} steps; "
+    title = f"{scenario_name(config)}, {run_directory.learned(run_dir, config, steps)}; "
     driven = f"{env or scenario_name(config)} {flow(env_config) if env_config else ''}".strip()
     if env or env_config:
         title += f"driving in {driven}; "

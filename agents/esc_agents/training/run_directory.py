@@ -50,7 +50,7 @@ def create(
     try:
         rmtree(made, ignore_errors=True)  # of a killed process that had our number
         (made / "checkpoints").mkdir(parents=True)
-        note_config(made, config, path)
+        note_config(made, config, path, imitated=IMITATE in (texts or {}))
         note_command(made)
         files.write_json(made / "versions.json", files.versions() | {"device": device})
         files.write_json(made / "wrapper.json", wrapper)
@@ -68,6 +68,12 @@ def resumed_by(path: Path) -> str:
     """The command that continues the run in ``path``."""
     program = "esc-imitate" if (path / IMITATE).exists() else "esc-train"
     return f"{program} --resume {path}"
+
+
+def learned(path: Path, config: TrainConfig, steps: int) -> str:
+    """What the policy in ``path`` learned from, in words."""
+    imitated = (path / IMITATE).is_file()
+    return f"imitation, {steps:,} labels" if imitated else f"{config.algo}, {steps:,} steps"
 
 
 def check_free(path: Path) -> None:
@@ -127,9 +133,10 @@ def note_session(path: Path, config: TrainConfig) -> None:
     note_command(path)
 
 
-def note_config(folder: Path, config: TrainConfig, path: Path) -> None:
+def note_config(folder: Path, config: TrainConfig, path: Path, imitated: bool = False) -> None:
     """Write config.yaml into ``folder``, which is to be found at ``path``."""
-    text = f"# esc-train --config {path}/config.yaml\n# mac: {strangers.BLANK}\n{dump(config)}"
+    how = f"esc-imitate: {IMITATE}" if imitated else f"esc-train --config {path}/config.yaml"
+    text = f"# {how}\n# mac: {strangers.BLANK}\n{dump(config)}"
     files.write_text(folder / "config.yaml", strangers.signed(text))
 
 
@@ -189,7 +196,7 @@ def verify(path: Path, *names: str) -> None:
         if name in sums and sums[name] != _sha256(path / name):
             raise UserError(
                 f"{path / name} does not match its checksum in {CHECKSUMS}: it was damaged, or "
-                "changed after the run; take the directory again from where it came"
+                "changed since; take the directory again from where it came"
             )
 
 

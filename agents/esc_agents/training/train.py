@@ -74,7 +74,19 @@ def train(
         training = Training(config, directory, model, probe, judges, listeners)
         say(describe(config, model, probe))
         say(f"{config.steps:,} steps into {directory}")
+        _warn_of_one_rollout(config)
         return training.run(found)
+
+
+def _warn_of_one_rollout(config: TrainConfig) -> None:
+    """SB3 sets the rate after the rollout, by what is left of the steps then."""
+    rollout = config.ppo.n_steps * config.n_envs
+    linear = config.ppo.learning_rate_schedule == "linear"
+    if config.algo == "ppo" and linear and config.steps <= rollout:
+        say(
+            f"Nothing will be learned: these are no more steps than one rollout has, {rollout:,}, "
+            "and after the last rollout a linear learning rate is 0; give more --steps"
+        )
 
 
 def _vectorised(config: TrainConfig) -> Iterator[VecEnv]:

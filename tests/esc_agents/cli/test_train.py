@@ -272,8 +272,8 @@ def test_resume_takes_more_steps_and_nothing_else(args, message, call, own_run):
         (["--expert", "planner", "--env", "merg"], "did you mean 'merge'?"),
         (["--expert", "planner", "--env", "merge", "--shuffle"], "--shuffle: expected a trained"),
         (["--expert", "planner", "--env", "merge", "--planner.continuations", "UP"], "got 'UP'"),
-        (["--expert", "idm", "--env", "parking", "--video", "v"], "follows lanes"),
-        (["--expert", "idm", "--env", "parking"], "follows lanes, and none leads to a parking"),
+        (["--expert", "idm", "--env", "parking", "--video", "v"], "a parking lot"),
+        (["--expert", "idm", "--env", "parking"], "expected lanes to follow, got a parking"),
         (["--expert", "idm", "--env", "merge", "--planner.horizon", "3"], "got --expert idm"),
     ],
 )

@@ -180,7 +180,7 @@ def test_scenarios_with_a_rule_driver_and_without(env, env_config, tmp_path, mon
     drivers = [row["driver"] for row in rows]
     assert "random" in drivers
     assert ("IDM/MOBIL" in drivers) == (env == "two-way")
-    why = "IDM/MOBIL is missing: the driver follows lanes, and none leads to a parking spot."
+    why = "IDM/MOBIL is missing: expected lanes to follow, got a parking lot."
     for said in (capsys.readouterr().out, (tmp_path / "report.md").read_text()):
         assert said.count(why) == (env == "parking")
 
@@ -284,7 +284,7 @@ def test_learning_from_labels(tmp_path):
     then.train.update(start_from=before, ppo={**then.train["ppo"], "net_arch": (64, 64)})
     compare(then, tmp_path / "then", HereEngine())
     log = (tmp_path / "then" / f"{ENV}-ppo" / "runs" / "fp-s0.log").read_text()
-    assert f"Beginning with the weights of {tmp_path}/{task}/runs/fp-s0, of " in log
+    assert f"Beginning with the weights of {tmp_path}/{task}/runs/fp-s0" in log
     with pytest.raises(UserError, match="expected nothing but observation, encoder, env_config"):
         compare(small(learn="imitate"), tmp_path / "other", HereEngine())
     for wrong, message in [

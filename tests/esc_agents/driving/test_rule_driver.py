@@ -42,7 +42,7 @@ def test_it_drives_along_the_lanes_of_every_scenario(name, algo):
 @pytest.mark.parametrize(("name", "algo"), [task for task in TASKS if task[0] in NO_LANES])
 def test_where_it_cannot_drive_it_is_said_why(name, algo):
     config = config_for_env(name).model_copy(update={"algo": algo, "vec": "subproc"})
-    with pytest.raises(UserError, match="follows lanes, and none leads to a parking spot"):
+    with pytest.raises(UserError, match="expected lanes to follow, got a parking lot"):
         rule_driver(config, range(2))
 
 

@@ -119,7 +119,7 @@ def test_data_of_another_scenario(made, observation):
     with pytest.raises(UserError, match=f"expected labels of highway-v0, got {run.env}'s"):
         datasets.read(made, observation, 5, other)
     other = run.model_copy(update={"env_config": {**run.env_config, "lanes_count": 2}})
-    with pytest.raises(UserError, match="expected labels of the same env_config, got lanes_count="):
+    with pytest.raises(UserError, match="same env_config, lanes_count=2, got lanes_count=3; give"):
         datasets.read(made, observation, 5, other)
 
 
@@ -155,7 +155,7 @@ def test_data_of_others(made, observation, tmp_path):
         ("--expert oracle", "expert: expected planner, idm, run:DIR or run:zoo:NAME, got 'oracle'"),
         ("--expert run:nowhere", "nowhere is no run directory"),
         ("--env parking --expert idm", "idm: parking-v0: expected an environment with meta-act"),
-        ("--env parking", "planner: parking-v0: expected meta-actions, whose values it says"),
+        ("--env parking", "got the continuous actions of parking-v0, with which only esc-eval"),
         ("--out labels", "out: expected a name that ends with a version, as -v0, got 'labels'"),
         ("--planner.milliseconds 5", "--planner.milliseconds: labels must not depend on the ma"),
         (

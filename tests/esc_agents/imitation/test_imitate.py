@@ -2,6 +2,7 @@
 
 import json
 import pkgutil
+import re
 import shutil
 import signal
 
@@ -182,8 +183,10 @@ def test_portions_killed_and_resumed(tmp_path, monkeypatch):
 
 def test_what_takes_a_run_takes_it(whole, call, tmp_path):
     shutil.copytree(whole, tmp_path / "run")
+    assert (tmp_path / "run/config.yaml").read_text().startswith("# esc-imitate: imitate.yaml\n")
     code, out, err = call(eval_cli, "run", "--episodes", "2")
     assert (code, err) == (0, "")
+    assert re.search(r", imitation, [\d,]+ labels; ", out)
     flags = ["--env", "highway-fast", "--start-from", "run", "--run-dir", "on", "--steps", "64"]
     road = ["--env-config", "{vehicles_count: 6, duration: 6, lanes_count: 3}"]
     ranges = "{x: [-100, 100], y: [-12, 12], vx: [-20, 20], vy: [-5, 5]}"
@@ -192,11 +195,12 @@ def test_what_takes_a_run_takes_it(whole, call, tmp_path):
     distance = ["--observation.perception-distance", "200"]
     code, out, err = call(train_cli, *flags, *road, *network, *observation, *distance)
     assert (code, err) == (0, "")
-    assert "Beginning with the weights of run" in out
+    assert "Beginning with the weights of run\n" in out
+    assert "Nothing will be learned: these are no more steps than one rollout has" in out
     code, _, err = call(train_cli, "--resume", "run")
     assert (code, err.count("\n")) == (2, 1)
     assert "run is a run of esc-imitate: continue it with esc-imitate --resume" in err
-    assert call(imitate_cli, "--resume", "run")[2].endswith("there is nothing to continue\n")
+    assert "with esc-train --start-from run\n" in call(imitate_cli, "--resume", "run")[2]
 
 
 def test_experts_of_other_actions_or_without_a_meaning(sac_run, whole, tmp_path):
@@ -265,7 +269,7 @@ def test_it_begins_with_the_weights_of_another_run(whole, tmp_path, capsys):
         ("--expert idm --planner.horizon 3", "--planner: expected --expert planner beside it"),
         ("--env parking --expert idm", "idm: parking-v0: expected an environment with meta-act"),
         ("--expert planner --repr max-pool", "repr: "),
-        ("--resume nowhere", "nowhere is no run of esc-imitate: expected imitate.yaml in it"),
+        ("--resume nowhere", "nowhere is no run of esc-imitate: expected imitate.yaml in it; "),
         ("--expert planner --loss mse", "mse"),
     ],
 )

@@ -113,7 +113,7 @@ def test_hyperparameters_reach_sb3(ppo_run, sac_run):
 
 
 @pytest.mark.parametrize("algo", ["ppo", "sac"])
-def test_what_falls_falls_to_nothing(algo, tmp_path, monkeypatch):
+def test_what_falls_falls_to_nothing(algo, tmp_path, monkeypatch, capsys):
     """Learning rate and entropy coefficient at each update, a quarter of the run apart."""
     rate = {"learning_rate": 4e-4, "learning_rate_schedule": "linear"}
     settings = {
@@ -135,6 +135,7 @@ def test_what_falls_falls_to_nothing(algo, tmp_path, monkeypatch):
     config = tiny(run_dir=tmp_path / "run", algo=algo, n_envs=1, steps=64, **{algo: settings[algo]})
     assert train(config)
     assert seen == pytest.approx([3e-4, 2e-4, 1e-4, 0.0])
+    assert "Nothing will be learned" not in capsys.readouterr().out
 
 
 def test_wrapper_json_rebuilds_the_observation(ppo_run):
