@@ -50,12 +50,12 @@ def create(
     try:
         rmtree(made, ignore_errors=True)  # of a killed process that had our number
         (made / "checkpoints").mkdir(parents=True)
-        note_config(made, config, path, imitated=IMITATE in (texts or {}))
+        for name, text in (texts or {}).items():
+            files.write_text(made / name, text)
+        note_config(made, config, path)
         note_command(made)
         files.write_json(made / "versions.json", files.versions() | {"device": device})
         files.write_json(made / "wrapper.json", wrapper)
-        for name, text in (texts or {}).items():
-            files.write_text(made / name, text)
         files.put_in_place(made, path)
     except OSError as error:
         raise UserError(f"run directory {path}: {error.strerror}") from error
@@ -133,8 +133,9 @@ def note_session(path: Path, config: TrainConfig) -> None:
     note_command(path)
 
 
-def note_config(folder: Path, config: TrainConfig, path: Path, imitated: bool = False) -> None:
+def note_config(folder: Path, config: TrainConfig, path: Path) -> None:
     """Write config.yaml into ``folder``, which is to be found at ``path``."""
+    imitated = (folder / IMITATE).is_file()
     how = f"esc-imitate: {IMITATE}" if imitated else f"esc-train --config {path}/config.yaml"
     text = f"# {how}\n# mac: {strangers.BLANK}\n{dump(config)}"
     files.write_text(folder / "config.yaml", strangers.signed(text))
