@@ -117,8 +117,7 @@ def test_what_falls_falls_to_nothing(algo, tmp_path, monkeypatch, capsys):
     """Learning rate and entropy coefficient at each update, a quarter of the run apart."""
     rate = {"learning_rate": 4e-4, "learning_rate_schedule": "linear"}
     settings = {
-        "ppo": {**PPO_SETTINGS, **rate, "n_steps": 16, "batch_size": 16,
-                "ent_coef": 0.04, "ent_coef_schedule": "linear"},
+        "ppo": {**PPO_SETTINGS, **rate, "ent_coef": 0.04, "ent_coef_schedule": "linear"},
         "sac": {**SAC_SETTINGS, **rate, "train_freq": 16, "learning_starts": 1},
     }  # fmt: skip
     seen = []
@@ -126,14 +125,14 @@ def test_what_falls_falls_to_nothing(algo, tmp_path, monkeypatch, capsys):
     class Spy(ALGORITHMS[algo]):
         def train(self, *args, **kwargs):
             super().train(*args, **kwargs)
-            seen.append((self.policy.optimizer if algo == "ppo" else self.actor.optimizer)
-                        .param_groups[0]["lr"])  # fmt: skip
+            of = self.policy if algo == "ppo" else self.actor
+            seen.append(of.optimizer.param_groups[0]["lr"])
             if algo == "ppo":
                 assert self.ent_coef == pytest.approx(100 * seen[-1])
 
     monkeypatch.setitem(ALGORITHMS, algo, Spy)
-    config = tiny(run_dir=tmp_path / "run", algo=algo, n_envs=1, steps=64, **{algo: settings[algo]})
-    assert train(config)
+    chosen = {"algo": algo, algo: settings[algo]}
+    assert train(tiny(run_dir=tmp_path / "run", n_envs=1, steps=64, **chosen))
     assert seen == pytest.approx([3e-4, 2e-4, 1e-4, 0.0])
     assert "Nothing will be learned" not in capsys.readouterr().out
 
