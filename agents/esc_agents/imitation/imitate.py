@@ -100,7 +100,7 @@ def imitate(
             policy, names = model_policy(model), action_names(probe)
             found = results(run, policy, judges, names, rule, stop)
             if not stop():
-                finish(run, directory, found, f"imitation, {model.num_timesteps:,} labels")
+                finish(run, directory, found, model.num_timesteps)
                 return True
         say(f"Stopped; continue with: esc-imitate --resume {directory}")
         return False

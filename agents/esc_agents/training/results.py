@@ -65,12 +65,13 @@ def results(
     return found | {name: summary for name, summary in references.items() if summary}
 
 
-def finish(config: TrainConfig, directory: Path, found: dict[str, Summary], what: str) -> None:
+def finish(config: TrainConfig, directory: Path, found: dict[str, Summary], steps: int) -> None:
     """Write ``results`` into the run's directory, with which it is finished, and print them.
 
-    what: the run did, for the title.
+    steps: of training, or labels, for the title.
     """
     run_directory.finish(directory, as_rows(found))
+    what = run_directory.learned(directory, config, steps)
     title = (
         f"{scenario_name(config)}, {config.repr}, {what}; episodes: {config.evaluation.episodes}"
     )

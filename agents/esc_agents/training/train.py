@@ -185,7 +185,7 @@ class Training:
             say(f"Stopped after {at:,} steps; the model is saved.{back}")
             say(f"Continue with: esc-train --resume {directory}")
             return False
-        finish(config, directory, found_out, f"{config.algo}, {model.num_timesteps:,} steps")
+        finish(config, directory, found_out, model.num_timesteps)
         return True
 
     def _learn(
